@@ -44,7 +44,7 @@ test-torchrl: $(TORCHRL)/.torchrl
 # The benchmark of whole trainings with all that it compares: gymnax takes Gymnasium below 1.4, so they have an
 # environment of their own.
 test-peers: $(PEERS)/.peers
-	$(PEERS)/bin/python -m pytest --slow tests/training_benchmark
+	$(PEERS)/bin/python -m pytest --slow tests/benchmarks/test_training.py
 
 # Packages that nobody here wrote, on environments as they are; `make test` runs those that the other environment has.
 test-clients: $(CLIENTS)/.clients
@@ -64,12 +64,12 @@ format: $(VENV)/.dev
 	$(BIN)/ruff format .
 
 bench: $(VENV)/.dev
-	$(BIN)/pearl bench CliffWalking --n-agents 43008 --out $(OUT)/bench
+	$(BIN)/pearl bench steps CliffWalking --n-agents 43008 --out $(OUT)/bench
 	$(BIN)/python -m pytest --benchmark-enable --benchmark-only tests/benchmarks/bench_*.py
 
 # Whole trainings beside those of other packages, three seeds of each: leave the machine alone meanwhile.
 bench-peers: $(PEERS)/.peers
-	$(PEERS)/bin/pearl bench --training --out $(OUT)/bench
+	$(PEERS)/bin/pearl bench training --out $(OUT)/bench
 
 # Every table and figure of the paper, measured here, as a page. Takes hours; started again, it goes on.
 figures: $(VENV)/.report

@@ -24,8 +24,24 @@ ALSO = ("LICENSE", "CITATION.cff")
 
 REFERENCE = {
     "Environments": (
-        *("parallel_env", "env", "raw_env", "make_vec", "list_envs", "get_spec", "register", "unpacked"),
-        *("PearlParallelEnv", "PearlVectorEnv", "batch.step.BatchStep", "interfaces.agent_dict.AgentDict"),
+        *(
+            "parallel_env",
+            "env",
+            "raw_env",
+            "make_vec",
+            "list_envs",
+            "load_policy",
+            "get_spec",
+            "register",
+            "unpacked",
+        ),
+        *(
+            "PearlParallelEnv",
+            "PearlVectorEnv",
+            "batch.step.BatchStep",
+            "batch.rollout.Rollout",
+            "interfaces.agent_dict.AgentDict",
+        ),
         "errors",
     ),
     "Devices": ("devices", "verification"),
@@ -37,7 +53,7 @@ REFERENCE = {
         "wrappers.benchmarl",
     ),
     "Evaluation": ("evaluation", "policies"),
-    "Hardware": ("memory_map", "latency", "plan", "hardware"),
+    "Hardware": ("memory_map", "latency", "hardware"),
     "Authors": ("spec", "golden", "fixed_point", "planes", "testing"),
 }
 """Headings of the reference's pages, and what of ``pearl_marl`` is on them."""

@@ -24,6 +24,7 @@ from rich.console import Console
 from rich.progress import track
 
 from pearl_marl.batch.actions import random_actions
+from pearl_marl.benchmark.tables import Table
 from pearl_marl.devices import BatchConfig, Rtl
 from pearl_marl.experiments.calling import call
 from pearl_marl.registry import get_spec
@@ -118,14 +119,14 @@ def _registers(header: Iterator[str]) -> Iterator[tuple[str, int]]:
 
 def main() -> None:
     """Count every configuration, and print a table in Markdown."""
-    lines = ["| environment | slots | PEs | word | register bits | cycles | toggles a step | a slot |"]
-    lines += ["| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |"]
+    rows = []
     for size in track(CONFIGURATIONS, "count", console=Console(stderr=True)):
         found = measure(*size)
-        build = f"{found.environment} | {found.n_envs:,} | {found.pe_num} | {found.data_wl}"
-        counts = f"{found.registers:,} | {found.cycles:,.0f} | {found.toggles:,.0f}"
-        lines.append(f"| {build} | {counts} | {found.toggles_per_slot:,.1f} |")
-    print("\n".join(lines))
+        counts = f"{found.registers:,}", f"{found.cycles:,.0f}", f"{found.toggles:,.0f}"
+        build = found.environment, f"{found.n_envs:,}", f"{found.pe_num}", f"{found.data_wl}"
+        rows.append((*build, *counts, f"{found.toggles_per_slot:,.1f}"))
+    build, counts = ("environment", "slots", "PEs", "word"), ("register bits", "cycles", "toggles a step")
+    print(Table((*build, *counts, "a slot"), rows).markdown())
 
 
 if __name__ == "__main__":

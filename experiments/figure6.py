@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.benchmark.contenders import contenders, simulated
 from pearl_marl.benchmark.measure import Contender, measure
 from pearl_marl.benchmark.paper import TABLE_2
+from pearl_marl.benchmark.steps import contenders, simulated
+from pearl_marl.benchmark.tables import BATCH, ENVPOOL, KERNEL
 from pearl_marl.devices import Rtl
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.fitting import PARTS
+from pearl_marl.latency import plan
 from pearl_marl.latency.prediction import Overlap, Prediction
-from pearl_marl.plan import plan
 from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
 
@@ -46,11 +47,11 @@ COLUMNS = {
 SIZES = (64, 1024, 8192, 43008)
 QUICK_SIZES = (7, 64)
 LARGE_SIMULATION = 64
-"""Models of more slots are built of :data:`README_ENV` alone: others take long to compile."""
-README_ENV = "CliffWalking"
-"""What the README's first table is about: everything of ``pearl bench`` is timed, at the largest size."""
+"""Models of more slots are built of :data:`WHOLE_ENV` alone: others take long to compile."""
+WHOLE_ENV = "CliffWalking"
+"""The environment in which all of ``pearl bench steps`` is timed, at the largest size."""
 
-ENVPOOL, SYNC, KERNEL, BATCH = "EnvPool, sync", "Gymnasium SyncVectorEnv", "kernel only", "step_batch"
+SYNC = "Gymnasium SyncVectorEnv"
 SIMULATED = "step_batch, device='rtl'"
 SIMULATED_SERIAL = "simulated, without pipeline"
 SIMULATIONS = (SIMULATED, SIMULATED_SERIAL)
@@ -62,7 +63,7 @@ PART = PARTS[paper_builds.BOARD]
 
 def collect(quick: bool, progress: Progress) -> list[Row]:
     """Time every environment at every size; predict the board; add the paper's figures."""
-    environments = [README_ENV, "CartPole"] if quick else names()
+    environments = [WHOLE_ENV, "CartPole"] if quick else names()
     sizes = QUICK_SIZES if quick else SIZES
     rows: list[Row] = []
     for name in environments:
@@ -88,12 +89,12 @@ def throughput(
     progress: Progress,
     only: Iterable[str] | None = None,
 ) -> list[Row]:
-    """Time the contenders of ``pearl bench`` at one size, or ``only`` those of some names.
+    """Time the contenders of ``pearl bench steps`` at one size, or ``only`` those of some names.
 
     Those are left out of which ``known`` has a row at their size: peers of pure Python are timed with fewer
     slots than asked for.
     """
-    everything = spec.name == README_ENV and n == SIZES[-1]
+    everything = spec.name == WHOLE_ENV and n == SIZES[-1]
     had = {(row["environment"], row["contender"], row["n_envs"]) for row in known}
     timed = [
         c
@@ -118,8 +119,8 @@ _NOT_OF_IT = ("MinAtar has no", "Gymnasium has no")
 
 def _built(spec: EnvSpec, n: int, quick: bool) -> bool:
     if quick:
-        return spec.name == README_ENV and n == QUICK_SIZES[0]
-    return spec.name == README_ENV or n <= LARGE_SIMULATION
+        return spec.name == WHOLE_ENV and n == QUICK_SIZES[0]
+    return spec.name == WHOLE_ENV or n <= LARGE_SIMULATION
 
 
 def _row(spec: EnvSpec, contender: Contender) -> Row:
@@ -135,7 +136,7 @@ def _row(spec: EnvSpec, contender: Contender) -> Row:
         "simulated" if contender.name in SIMULATIONS else "measured",
         contender.counts,
         **common,
-        steps_per_second=contender.n / contender.seconds_per_step,
+        steps_per_second=contender.rate,
         microseconds_per_step=contender.seconds_per_step * 1e6,
     )
 

@@ -1,4 +1,4 @@
-"""Figure 7: training time to a mean return, whoever steps the environments; and of our batched trainers."""
+"""Figure 7: training time to a mean return on three environment libraries, and by our batched trainers."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
+from pearl_marl.benchmark.watch import mean_return
 from pearl_marl.registry import get_spec
 from pearl_marl.training.run import ALGORITHMS, settings_for
 
 from . import paper, sb3_training
+from .sb3_training import EVALUATION_LIMIT
 from .section import Colour, Progress, Row, legend, log_axis, panels, row_of, select, tidy
 
 TITLE = "Figure 7: training time"
@@ -47,8 +49,8 @@ SEEDS = (0, 1, 2)
 REPEATS = 3
 
 
-class Task(NamedTuple):
-    """What is to be learned: by whom, until when."""
+class TimedTask(NamedTuple):
+    """A training: what is learned by which algorithm, and when it ends."""
 
     name: str
     algorithm: str
@@ -60,13 +62,13 @@ class Task(NamedTuple):
 
 
 TASKS = (
-    Task("PPO CartPole", "ppo", "CartPole", 475.0, 256, 8192, 400_000),
-    Task("DQN CartPole", "dqn", "CartPole", 475.0, 512, 10_240, 600_000),
-    Task("DQN CliffWalking", "dqn", "CliffWalking", -13.0, 512, 10_240, 600_000),
+    TimedTask("PPO CartPole", "ppo", "CartPole", 475.0, 256, 8192, 400_000),
+    TimedTask("DQN CartPole", "dqn", "CartPole", 475.0, 512, 10_240, 600_000),
+    TimedTask("DQN CliffWalking", "dqn", "CliffWalking", -13.0, 512, 10_240, 600_000),
 )
 
-QUICK_TASK = TASKS[0]._replace(every=12_288, most=16_384)
-"""What a quick report trains, if not to its end."""
+QUICK_TASK = TASKS[0]._replace(every=4096, most=8192)
+"""What a quick report trains: one rollout, with an evaluation in it."""
 
 OURS, ENVPOOL, GYMNASIUM = "SB3 on PEARL-MARL", "SB3 on EnvPool", "SB3 on Gymnasium"
 BATCHED, LARGE, ZOO = "our batched trainer", "our batched trainer, 4,096 agents", "SB3 on EnvPool, 8 agents"
@@ -83,7 +85,7 @@ STYLES = {
 OWN_SETTINGS: dict[str, dict[str, dict[str, Any]]] = {
     BATCHED: {"ppo": {"n_agents": 256, "minibatch": 256, "iterations": 120}, "dqn": {}},
     LARGE: {
-        "ppo": {"n_agents": 4096, "depth": 8, "minibatch": 2048},
+        "ppo": {"n_agents": 4096, "rollout_length": 8, "minibatch": 2048},
         "dqn": {"n_agents": 4096, "memory": 50},
     },
 }
@@ -106,7 +108,7 @@ Points = list[tuple[float, int, float]]
 
 
 def collect(quick: bool, progress: Progress) -> list[Row]:
-    """Train every task with everyone and every seed, in turns."""
+    """Train every task with every contender and seed, in turns."""
     tasks, seeds = ((QUICK_TASK,), SEEDS[:1]) if quick else (TASKS, SEEDS)
     envpool = importlib.util.find_spec("envpool") is not None
     work = [
@@ -137,7 +139,7 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     return rows
 
 
-class Run(NamedTuple):
+class TimedRun(NamedTuple):
     """One training."""
 
     contender: str
@@ -151,7 +153,7 @@ class Run(NamedTuple):
         return self.points[-1][0]
 
 
-def undisturbed(runs: list[Run]) -> Run:
+def undisturbed(runs: list[TimedRun]) -> TimedRun:
     """Return the run that was made several times, with the shortest time of each stretch.
 
     What it learns depends on its seed alone. Should the times not have gone through the same evaluations all
@@ -166,7 +168,7 @@ def undisturbed(runs: list[Run]) -> Run:
     return runs[0]._replace(points=points)
 
 
-def _train(task: Task, contender: str, seed: int) -> Run:
+def _train(task: TimedTask, contender: str, seed: int) -> TimedRun:
     if contender in (BATCHED, LARGE):
         return _batched(task, contender, seed, OWN_SETTINGS[contender][task.algorithm])
     n, settings, steps, every = task.n_agents, None, task.most, task.every
@@ -176,32 +178,32 @@ def _train(task: Task, contender: str, seed: int) -> Run:
         SOURCES.get(contender, "envpool"),
         *(task.env_id, task.algorithm, n, steps, seed, task.goal, every, settings),
     )
-    return Run(contender, seed, n, points)
+    return TimedRun(contender, seed, n, points)
 
 
-def _batched(task: Task, contender: str, seed: int, given: dict[str, Any]) -> Run:
-    settings = settings_for(task.algorithm, task.env_id, {**given, "seed": seed})
+def _batched(task: TimedTask, contender: str, seed: int, own: dict[str, Any]) -> TimedRun:
+    settings = settings_for(task.algorithm, task.env_id, {**own, "seed": seed})
     trainer = ALGORITHMS[task.algorithm](get_spec(task.env_id), "native", settings)
     points: Points = []
-    seconds, seen = 0.0, 0
+    seconds, evaluated = 0.0, 0
     while trainer.done < settings.iterations:
         began = time.perf_counter()
         trainer.iterate()
         seconds += time.perf_counter() - began
-        if trainer.agent_steps - seen < task.every:
+        if trainer.agent_steps - evaluated < task.every:
             continue
-        seen = trainer.agent_steps
-        points.append((seconds, seen, sb3_training.mean_return(task.env_id, trainer.policy.choose)))
+        evaluated = trainer.agent_steps
+        points.append((seconds, evaluated, mean_return(task.env_id, trainer.policy.choose, EVALUATION_LIMIT)))
         if points[-1][2] >= task.goal:
             break
-    return Run(contender, seed, settings.n_agents, points)
+    return TimedRun(contender, seed, settings.n_agents, points)
 
 
-def _reached(task: Task, run: Run) -> bool:
+def _reached(task: TimedTask, run: TimedRun) -> bool:
     return run.points[-1][2] >= task.goal
 
 
-def _rows(task: Task, run: Run) -> list[Row]:
+def _rows(task: TimedTask, run: TimedRun) -> list[Row]:
     common: Row = {
         "kind": "measured",
         "task": task.name,
@@ -216,7 +218,7 @@ def _rows(task: Task, run: Run) -> list[Row]:
     return [whole, *({**common, "what": "evaluation", **point} for point in points)]
 
 
-def _summaries(task: Task, runs: list[Run]) -> list[Row]:
+def _summaries(task: TimedTask, runs: list[TimedRun]) -> list[Row]:
     """Return a row for each contender, of all seeds; and the paper's."""
     shortest = min(run.points[-1][1] for run in runs if run.contender in SOURCES)
     rows: list[Row] = []

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from pearl_marl.benchmark.contenders import contenders
 from pearl_marl.benchmark.measure import UnavailableError
+from pearl_marl.benchmark.steps import contenders
+from pearl_marl.benchmark.tables import BATCH, ENVPOOL
 from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
 
@@ -45,7 +46,7 @@ COLUMNS = {
 }
 
 METERS: dict[type[energy.Meter], tuple[str, ...]] = {
-    energy.Rapl: (figure6.BATCH, figure6.ENVPOOL, figure6.SYNC),
+    energy.Rapl: (BATCH, ENVPOOL, figure6.SYNC),
     energy.Nvml: ("step_batch, device='cuda'",),
 }
 """Whose energy is counted by what."""
@@ -124,8 +125,8 @@ def _measured(spec: EnvSpec, meter: energy.Meter, names: tuple[str, ...], quick:
     found = select(rows, kind="measured")
     rates = {row["contender"]: row["steps_per_joule"] for row in found}
     for row in found:
-        if row["contender"] == figure6.BATCH:
-            for key, peer in (("over_envpool", figure6.ENVPOOL), ("over_vector_env", figure6.SYNC)):
+        if row["contender"] == BATCH:
+            for key, peer in (("over_envpool", ENVPOOL), ("over_vector_env", figure6.SYNC)):
                 row[key] = row["steps_per_joule"] / rates[peer] if peer in rates else None
     return rows
 
@@ -149,7 +150,7 @@ def draw(rows: list[Row]) -> Any:
     """Draw how many more steps a joule makes than a peer's, quoted and where measured; and toggles."""
     figure, (*both, right) = subplots(1, 3, 3.6)
     environments = list(paper.ENERGY_OVER)
-    measured = select(rows, kind="measured", contender=figure6.BATCH)
+    measured = select(rows, kind="measured", contender=BATCH)
     width, shift = (0.38, 0.19) if measured else (0.6, 0.0)
     for axes, key, peer in zip(
         both, ("over_envpool", "over_vector_env"), ("EnvPool", "VectorEnv"), strict=True

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies import trained
 from pearl_marl.registry import get_spec
-from pearl_marl.training.run import settings_for, train
+from pearl_marl.training.run import Training, settings_for, train
 
 from . import paper
 from .section import Colour, Progress, Row, labelled, legend, panels, row_of, select, tidy
@@ -104,7 +104,8 @@ def _reach(goal: Goal, seed: int, quick: bool) -> Row:
     settings = settings_for(goal.algorithm, goal.env_id, given)
     every = settings.iterations // QUICK_EVALUATIONS if quick else None
     with tempfile.TemporaryDirectory() as folder:
-        rows = train(goal.env_id, {}, goal.algorithm, settings, "native", Path(folder), goal.aim, every)
+        training = Training(goal.env_id, goal.algorithm, settings, goal=goal.aim, evaluate_every=every)
+        rows = train(training, Path(folder))
         best = trained.load(Path(folder))
     n = min(goal.episodes, 20_000)
     evaluation = Evaluation(spec, best.choose, n, episodes=goal.episodes, seed=FRESH)

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import track
 
 from pearl_marl.batch.actions import random_actions
+from pearl_marl.benchmark.tables import Table
 from pearl_marl.devices import BatchConfig, Rtl
 from pearl_marl.experiments.calling import call
 from pearl_marl.hardware.build import Build
@@ -51,8 +52,7 @@ STEPS = 10
 
 def main() -> None:
     """Measure every configuration, and print a table in Markdown."""
-    lines = ["| environment | slots | PEs | word | a step | model | over AXI | model | off by |"]
-    lines += ["| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |"]
+    rows = []
     worst = 0.0
     for env_id, n, pe_num, data_wl, pipelined in track(BUILDS, "measure", console=Console(stderr=True)):
         build = Build.of(get_spec(env_id), n, pe_num, data_wl)
@@ -63,8 +63,9 @@ def main() -> None:
         step = step_cycles(*build, pipelined) + draws_wait(*build)
         figures = (n, pe_num, data_wl, cycles, step, whole, predicted)
         form = "" if pipelined else ", serial"
-        lines.append(f"| {env_id}{form} | {' | '.join(f'{figure:,}' for figure in figures)} | {error:+.1%} |")
-    print("\n".join(lines))
+        rows.append((f"{env_id}{form}", *(f"{figure:,}" for figure in figures), f"{error:+.1%}"))
+    headings = "environment", "slots", "PEs", "word", "a step", "model", "over AXI", "model", "off by"
+    print(Table(headings, rows).markdown())
     print(f"\nThe largest error is {worst:.1%}.")
 
 

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.progress import track
 
 from pearl_marl.benchmark.paper import TABLE_2
+from pearl_marl.benchmark.tables import Table
 from pearl_marl.experiments.calling import call
 from pearl_marl.files import replace_file
 from pearl_marl.hardware.build import Build
@@ -98,11 +99,12 @@ def main() -> None:
     for name in track(TABLE_2, "synthesise", console=Console(stderr=True)):
         known[name] = _measured(synthesise(build(name)))
         replace_file(FILE, f"{json.dumps(known, indent=2)}\n".encode())
-    print("| environment | slots | PEs | word | LUT | FF | BRAM36 | DSP | on a VC707 |")
-    print("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | --- |")
-    for name in TABLE_2:
-        figures = [f"{figure:,}" for figure in (known[name][key] for key in SIZES + RESOURCES)]
-        print(f"| {name} | {' | '.join(figures)} | {verdict(build(name)).text} |")
+    rows = [
+        (name, *(f"{known[name][key]:,}" for key in SIZES + RESOURCES), verdict(build(name)).text)
+        for name in TABLE_2
+    ]
+    headings = "environment", "slots", "PEs", "word", "LUT", "FF", "BRAM36", "DSP", "on a VC707"
+    print(Table(headings, rows, text=(0, 8)).markdown())
 
 
 if __name__ == "__main__":

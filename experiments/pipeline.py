@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from pearl_marl.benchmark.paper import TABLE_2
+from pearl_marl.benchmark.tables import Table
 from pearl_marl.experiments import paper_builds
 from pearl_marl.experiments.calling import call
 from pearl_marl.hardware.boards import BOARDS
@@ -80,18 +81,16 @@ def compare(env_id: str, n_envs: int | None = None) -> Comparison:
 
 def main() -> None:
     """Print the comparison of the paper's environments as a table in Markdown."""
-    print("| environment | slots | PEs | word | with | T3 to T5 | without | T3 to T5 | factor | on a VC707 |")
-    print("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | --- |")
+    rows = []
     for env_id in TABLE_2:
         found = compare(env_id)
-        ours = found.pipelined
-        rates = [
-            f"{step.rate / 1e6:.3g} M | {step.device * 1e6:,.1f} us"
-            for step in (found.pipelined, found.serial)
-        ]
-        size = f"{ours.n_envs:,} | {ours.pe_num} | {ours.data_wl:,}"
-        last = f"{found.factor:.3g} | {found.fits.text} ({found.fits.source})"
-        print(f"| {env_id} | {size} | {rates[0]} | {rates[1]} | {last} |")
+        size = [f"{figure:,}" for figure in (found.pipelined.n_envs, found.pipelined.pe_num)]
+        cells = [env_id, *size, f"{found.pipelined.data_wl:,}"]
+        for step in (found.pipelined, found.serial):
+            cells += [f"{step.rate / 1e6:.3g} M", f"{step.device * 1e6:,.1f} us"]
+        rows.append([*cells, f"{found.factor:.3g}", f"{found.fits.text} ({found.fits.source})"])
+    build, forms = ("environment", "slots", "PEs", "word"), ("with", "T3 to T5", "without", "T3 to T5")
+    print(Table((*build, *forms, "factor", "on a VC707"), rows, text=(0, 9)).markdown())
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.registry import get_spec
-from pearl_marl.training.q_learning import QLearning, Settings
+from pearl_marl.training.q_learning import QLearning, QLearningSettings
 
 from .section import Colour, Progress, Row, having, log_axis, row_of, select, subplots, tidy
 
@@ -49,7 +49,7 @@ def _rates(n: int, quick: bool, progress: Progress) -> list[Row]:
     """Return after how many steps the learner of each rate knew the shortest way, and kept to it."""
     every, most = (100, 600) if quick else (10, 600)
     rates = np.geomspace(0.01, 1.0, POPULATION)
-    settings = Settings(n_agents=n, learners=POPULATION, iterations=most)
+    settings = QLearningSettings(n_agents=n, learners=POPULATION, iterations=most)
     trainer = QLearning(get_spec("CliffWalking"), "native", settings, rates=rates)
     found = np.full(POPULATION, -1)
     for evaluation in _trained(trainer, every, progress, "learning rates"):
@@ -76,7 +76,9 @@ def _rewards(n: int, quick: bool, progress: Progress) -> list[Row]:
     worth = np.linspace(-10, 10, POPULATION)
     step, fall = np.array(spec.rewards)
     tables = np.stack([np.full(POPULATION, step), worth], 1)
-    settings = Settings(n_agents=n, learners=POPULATION, iterations=100 if quick else 600, discount=0.99)
+    settings = QLearningSettings(
+        n_agents=n, learners=POPULATION, iterations=100 if quick else 600, discount=0.99
+    )
     trainer = QLearning(spec, "native", settings, rewards=tables)
     for _ in progress(_iterations(trainer), settings.iterations, "reward tables"):
         pass
@@ -101,8 +103,8 @@ def _rewards(n: int, quick: bool, progress: Progress) -> list[Row]:
 
 def _alone(n: int, quick: bool, progress: Progress) -> list[Row]:
     """Return how many of those that learn alone know the shortest way, as they go on."""
-    every, most = 250, 2500
-    settings = Settings(n_agents=n, learners=n, iterations=most, rate=1.0, epsilon=0.1)
+    every, most = (500, 2000) if quick else (250, 2500)
+    settings = QLearningSettings(n_agents=n, learners=n, iterations=most, learning_rate=1.0, epsilon=0.1)
     trainer = QLearning(get_spec("CliffWalking"), "native", settings)
     return [
         row_of(
@@ -111,7 +113,7 @@ def _alone(n: int, quick: bool, progress: Progress) -> list[Row]:
             part="alone",
             n_agents=n,
             learners=n,
-            rate=settings.rate,
+            rate=settings.learning_rate,
             iterations=trainer.done,
             reached=float(np.mean(evaluation.returns == SHORTEST)),
         )

@@ -10,17 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from pearl_marl.benchmark.measure import duration, rate
+from pearl_marl.benchmark.tables import Table, duration, rate
 from pearl_marl.experiments import paper_builds, pipeline
 from pearl_marl.experiments.calling import call
 from pearl_marl.experiments.equations import LOOPS
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.fitting import PARTS, modelled_bram36
-from pearl_marl.latency import HostTimes, loop_cycles, predict, step_cycles
+from pearl_marl.latency import HostTimes, loop_cycles, plan, predict, step_cycles
 from pearl_marl.latency.cycles import RESULTS, read_cycles, write_cycles
 from pearl_marl.latency.prediction import Overlap
 from pearl_marl.memory_map import default_map, memory_map
-from pearl_marl.plan import plan
 from pearl_marl.registry import get_spec, names
 
 SLOTS = 43_008
@@ -46,8 +45,7 @@ _HEADINGS_LINK = "slots | T1 | T2 | T3 to T5 | T6 | T7 | a step | steps/s | two 
 
 
 def _print(title: str, headings: str, rows: Iterable[tuple[str, ...]]) -> None:
-    lines = [f"| {headings} |", "|" + " ---: |" * len(headings.split("|"))]
-    print("\n".join([f"\n{title}\n", *lines, *(f"| {' | '.join(row)} |" for row in rows)]))
+    print(f"\n{title}\n\n{Table(headings.split(' | '), list(rows), text=()).markdown()}")
 
 
 def _defaults() -> Iterable[tuple[str, ...]]:

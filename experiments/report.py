@@ -20,12 +20,11 @@ from importlib import metadata, resources
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
-from pearl_marl.benchmark.machine import machine
 from pearl_marl.errors import ArgumentError, PearlError
+from pearl_marl.evaluation.machine import machine
 from pearl_marl.files import replace_file
 from pearl_marl.rendering import import_pyplot, save_figure
 
-from . import readme
 from .section import KINDS, Progress, Row, Section, having
 
 SECTIONS = (
@@ -96,8 +95,6 @@ def report(
     problems = {each.name: each.problem for each in made}
     entries = [_entry(folder, name, found[name], problems.get(name)) for name in SECTIONS]
     replace_file(folder / "index.html", template.render(sections=entries, kinds=KINDS).encode())
-    if (throughput := found["figure6"]) is not None:
-        replace_file(folder / "readme_table.md", readme.tables(throughput).encode())
     return made
 
 

@@ -2,7 +2,7 @@
 
 ``python -m pearl_marl.experiments.sb3_training CartPole --algo ppo`` trains, and writes a folder; PPO's model
 in it is one for ``pearl eval --policy``. With ``--source envpool`` or ``--source gymnasium`` nothing changes
-but who steps the environments: this is the trainer of the paper's Figure 7.
+but the library that steps the environments: this is the trainer of the paper's Figure 7.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import nn
 
 import pearl_marl
+from pearl_marl.benchmark.trainers.sb3 import EnvPoolVecEnv, best_actions
+from pearl_marl.benchmark.watch import mean_return
 from pearl_marl.errors import ArgumentError
-from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.experiments.calling import call
 from pearl_marl.registry import get_spec
 from pearl_marl.training.run_folder import RunFolder
-from pearl_marl.training_benchmark.sb3 import EnvPoolVecEnv
 
 MODELS: dict[str, Any] = {"ppo": PPO, "dqn": DQN}
 
@@ -55,13 +55,11 @@ SETTINGS: dict[str, dict[str, Any]] = {
         "policy_kwargs": {"net_arch": [64, 64], "activation_fn": nn.Tanh},
     },
 }
-"""For batches of hundreds of agents; the same whoever steps them."""
+"""For batches of hundreds of agents; the same for each library that steps them."""
 
 SOURCES = ("pearl", "envpool", "gymnasium")
-EVALUATED = 200
-"""Agents whose first episodes are an evaluation."""
 EVALUATION_LIMIT = 500
-"""Steps after which an episode of an evaluation ends: there are policies that get nowhere for ever."""
+"""Steps after which an episode of an evaluation ends: some policies would make no progress for ever."""
 
 console = Console(stderr=True)
 
@@ -77,7 +75,7 @@ def vec_env(source: str, env_id: str, n: int, seed: int) -> VecEnv:
         raise ArgumentError(f"--source {source} has no {env_id}")
     elif source == "envpool":
         try:
-            from pearl_marl.training_benchmark.envpool_agents import environments
+            from pearl_marl.benchmark.trainers.envpool_agents import environments
         except ImportError:
             raise ArgumentError("EnvPool is not installed: pip install '.[bench]'") from None
         return EnvPoolVecEnv(environments(oracle, n, seed), n)
@@ -87,17 +85,7 @@ def vec_env(source: str, env_id: str, n: int, seed: int) -> VecEnv:
     return env
 
 
-def mean_return(env_id: str, policy: Callable[[Any], Any]) -> float:
-    """Return the mean of :data:`EVALUATED` episodes."""
-    spec = get_spec(env_id)
-    limit = spec.max_cycles or EVALUATION_LIMIT
-    evaluation = Evaluation(spec, policy, EVALUATED, seed=1, max_cycles=limit)
-    for _ in evaluation.run():
-        pass
-    return float(evaluation.returns.mean())
-
-
-class Watch(BaseCallback):
+class Evaluating(BaseCallback):
     """Evaluates now and then, with the clock stopped; ends the training once the goal is reached.
 
     Attributes
@@ -123,17 +111,11 @@ class Watch(BaseCallback):
             return True
         self._next += self.every
         stopped = time.perf_counter()
-        mean = mean_return(self.env_id, self._best)
+        mean = mean_return(self.env_id, best_actions(self.model), EVALUATION_LIMIT)
         self.points.append((stopped - self._began - self._paused, self.num_timesteps, mean))
         self.show(self.num_timesteps, mean)
         self._paused += time.perf_counter() - stopped
         return self.goal is None or mean < self.goal
-
-    def _best(self, obs: Any) -> Any:
-        normalised = self.model.get_vec_normalize_env()
-        if normalised is not None:
-            obs = normalised.normalize_obs(obs)
-        return self.model.predict(obs, deterministic=True)[0]
 
 
 def train(
@@ -148,18 +130,18 @@ def train(
     settings: dict[str, Any] | None = None,
     show: Callable[[int, float], None] = lambda done, mean: None,
 ) -> tuple[Any, list[tuple[float, int, float]]]:
-    """Train until an evaluation reaches the goal; return the model, and what :class:`Watch` wrote down."""
+    """Train until an evaluation reaches the goal; return the model, and the points of :class:`Evaluating`."""
     env = vec_env(source, env_id, n, seed)
     if algorithm == "dqn" and isinstance(env.observation_space, Box):
         env = VecNormalize(env, norm_reward=False)  # without it, few seeds learn
     try:
         given = SETTINGS[algorithm] if settings is None else settings
         model = MODELS[algorithm]("MlpPolicy", env, seed=seed, device="cpu", **given)
-        watch = Watch(env_id, goal, every, show)
-        model.learn(steps, callback=watch)
+        evaluating = Evaluating(env_id, goal, every, show)
+        model.learn(steps, callback=evaluating)
     finally:
         env.close()
-    return model, watch.points
+    return model, evaluating.points
 
 
 def main(
@@ -172,7 +154,7 @@ def main(
     ] = None,
     every: Annotated[int, typer.Option(help="Agent-steps between evaluations.")] = 20_000,
     seed: Annotated[int, typer.Option(help="Of the training.")] = 0,
-    source: Annotated[str, typer.Option(help="Who steps: `pearl`, `envpool` or `gymnasium`.")] = "pearl",
+    source: Annotated[str, typer.Option(help="What steps: `pearl`, `envpool` or `gymnasium`.")] = "pearl",
     out: Annotated[Path, typer.Option(help="The run's folder.")] = Path("out/sb3_training"),
 ) -> None:
     """Train, and write model.zip, metrics and a learning curve; such a run cannot be gone on with."""

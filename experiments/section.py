@@ -27,6 +27,10 @@ KINDS = {
 }
 
 
+QUICK_ENVS = ("CliffWalking", "Blackjack", "CartPole")
+"""The environments of a quick report's tables: a core of each is made, and those of others are larger."""
+
+
 class Progress(Protocol):
     """Iterates over items and shows how far it is; ``pearl_marl.cli.common.progress`` is one."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pearl_marl.benchmark.tables import BATCH, ENVPOOL
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import largest_fit
 from pearl_marl.hardware.synthesis import synthesise
@@ -35,8 +36,8 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     n = figure6.QUICK_SIZES[-1] if quick else figure6.SIZES[-1]
     shown = {
         figure6.SYNC: ("Gymnasium SyncVectorEnv", "CPU"),
-        figure6.ENVPOOL: ("EnvPool", "CPU"),
-        figure6.BATCH: ("this platform, step_batch", "CPU"),
+        ENVPOOL: ("EnvPool", "CPU"),
+        BATCH: ("this platform, step_batch", "CPU"),
         figure6.SIMULATED: ("this platform, simulated", "FPGA, by Verilator"),
         figure6.BOARD: ("this platform, predicted", "CPU + FPGA"),
     }

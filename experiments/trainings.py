@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pearl_marl.training_benchmark.contenders import CLEANRL, OURS, PUREJAXRL, SB3
-from pearl_marl.training_benchmark.turns import SEEDS, compared, entries, run, tasks_of
+from pearl_marl.benchmark.training import CLEANRL, OURS, PUREJAXRL, SB3, compared, jobs, run, tasks_of
 
 from .section import Colour, Progress, Row, bars, having, legend, panels, row_of, select, tidy
 
@@ -41,7 +40,7 @@ QUICK_ENV = "CartPole"
 def collect(quick: bool, progress: Progress) -> list[Row]:
     """Train every task with everyone and every seed, in turns."""
     tasks = tasks_of(QUICK_ENV if quick else None, quick)
-    work = entries(tasks, SEEDS[:1] if quick else SEEDS)
+    work = jobs(tasks, quick)
     runs = list(progress(run(work), len(work), "training"))
     rows = [_summary(row) for row in compared(runs)]
     shown = ("task", "contender", "seed", "agent_steps_per_second", "seconds_to_goal", "agent_steps", "wall")

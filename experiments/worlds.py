@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from pearl_marl.policies import trained
 from pearl_marl.registry import get_spec
-from pearl_marl.training.run import evaluate, settings_for, train
+from pearl_marl.training.run import Training, evaluate, settings_for, train
 
 from .section import Colour, Progress, Row, labelled, legend, panels, row_of, select, tidy
 
@@ -40,7 +40,7 @@ FRESH, EPISODES = 1000, 10_000
 QUICK_ITERATIONS, QUICK_EPISODES = 2, 100
 
 
-class Task(NamedTuple):
+class WorldTask(NamedTuple):
     """What is learned, and which mean return of an agent in an evaluation ends a training."""
 
     name: str
@@ -60,8 +60,8 @@ class Task(NamedTuple):
 COOP = {"max_num_food": 2, "force_coop": True}
 
 TASKS = (
-    Task("Foraging-8x8-2p-3f", "LevelBasedForaging", "ippo", None, 0.95, "1 is the most"),
-    Task(
+    WorldTask("Foraging-8x8-2p-3f", "LevelBasedForaging", "ippo", None, 0.95, "1 is the most"),
+    WorldTask(
         "Foraging-8x8-2p-2f-coop",
         "LevelBasedForaging",
         "ippo",
@@ -70,9 +70,9 @@ TASKS = (
         "1 is the most",
         COOP,
     ),
-    Task("Foraging-8x8-2p-3f", "LevelBasedForaging", "mappo", None, 0.95, "1 is the most"),
-    Task("Foraging-8x8-2p-2f-coop", "LevelBasedForaging", "mappo", 0.496, 0.98, "1 is the most", COOP),
-    Task(
+    WorldTask("Foraging-8x8-2p-3f", "LevelBasedForaging", "mappo", None, 0.95, "1 is the most"),
+    WorldTask("Foraging-8x8-2p-2f-coop", "LevelBasedForaging", "mappo", 0.496, 0.98, "1 is the most", COOP),
+    WorldTask(
         "Overcooked, cramped_room",
         "Overcooked",
         "ippo",
@@ -82,7 +82,7 @@ TASKS = (
         {"reward_shaping_factor": 1.0},
         {"reward_shaping_factor": 0.0},
     ),
-    Task(
+    WorldTask(
         "RobotWarehouse, tiny, 2 robots",
         "RobotWarehouse",
         "ippo",
@@ -91,7 +91,7 @@ TASKS = (
         "1 a shelf that was asked for",
         seeds=SEEDS[:1],
     ),
-    Task(
+    WorldTask(
         "CoinGame, each for itself",
         "CoinGame",
         "ippo",
@@ -100,7 +100,7 @@ TASKS = (
         "a coin brings 1; of the other's colour it costs the other 2",
         settings={"rewards": "own"},
     ),
-    Task(
+    WorldTask(
         "CoinGame, from the sum",
         "CoinGame",
         "ippo",
@@ -109,7 +109,7 @@ TASKS = (
         "both leave most of the other's coins alone",
         settings={"rewards": "sum"},
     ),
-    Task("ConnectFour", "ConnectFour", "self-play", None, 0.9, "95 % of games won and the others lost"),
+    WorldTask("ConnectFour", "ConnectFour", "self-play", None, 0.9, "95 % of games won and the others lost"),
 )
 
 
@@ -118,19 +118,18 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     tasks = {(task.env_id, task.algorithm): task for task in reversed(TASKS)}.values() if quick else TASKS
     work = [(task, seed) for task in tasks for seed in (task.seeds[:1] if quick else task.seeds)]
     return [
-        row for task, seed in progress(work, len(work), "training") for row in _learned(task, seed, quick)
+        row for task, seed in progress(work, len(work), "training") for row in _trained(task, seed, quick)
     ]
 
 
-def _learned(task: Task, seed: int, quick: bool) -> list[Row]:
+def _trained(task: WorldTask, seed: int, quick: bool) -> list[Row]:
     """Return a row for each evaluation of a training, and one of its result."""
     spec = get_spec(task.env_id).with_options(**task.options)
     given = {"seed": seed, **task.settings, **({"iterations": QUICK_ITERATIONS} if quick else {})}
     settings = settings_for(task.algorithm, task.env_id, given, agents=spec.agents)
     with tempfile.TemporaryDirectory() as folder:
-        metrics = train(
-            task.env_id, dict(task.options), task.algorithm, settings, "native", Path(folder), task.aim
-        )
+        training = Training(task.env_id, task.algorithm, settings, dict(task.options), goal=task.aim)
+        metrics = train(training, Path(folder))
         policy = trained.load(Path(folder))
     # Of a game that somebody wins, what the others get says nothing.
     share = 1 if spec.turns else spec.agents

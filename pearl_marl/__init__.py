@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
     from pearl_marl.interfaces.vector import PearlVectorEnv, make_vec
     from pearl_marl.packing import unpacked
+    from pearl_marl.policies.integer_file import load_policy
     from pearl_marl.spec import EnvSpec
 else:
     # Numba, Gymnasium and PettingZoo take a second to import: whoever asks for one of these waits for it.
@@ -41,6 +42,7 @@ else:
         "PearlVectorEnv": "interfaces.vector",
         "devices": "devices",
         "env": "interfaces.aec",
+        "load_policy": "policies.integer_file",
         "make_vec": "interfaces.vector",
         "parallel_env": "interfaces.parallel",
         "raw_env": "interfaces.aec",
@@ -81,6 +83,7 @@ __all__ = [
     "errors",
     "get_spec",
     "list_envs",
+    "load_policy",
     "make_vec",
     "parallel_env",
     "raw_env",

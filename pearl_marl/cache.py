@@ -15,14 +15,13 @@ import hashlib
 import os
 import shutil
 import tempfile
-import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
 import platformdirs
 
 from pearl_marl.errors import DeviceError
-from pearl_marl.files import open_lock
+from pearl_marl.files import open_lock, write_whole
 
 _TEMPORARY = "pearl_marl_"
 """With what the name of a folder begins that stands in for one that cannot be written."""
@@ -85,18 +84,6 @@ def locked(path: Path) -> Iterator[None]:
         yield
 
 
-def replace(path: Path, content: bytes) -> None:
-    """Write a file beside its place and rename it: no other process reads half of it, nor writes to it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    scratch = path.with_name(f"{path.name[:100]}.{uuid.uuid4().hex}.tmp")
-    try:
-        scratch.write_bytes(content)
-        os.replace(scratch, path)
-    except BaseException:
-        scratch.unlink(missing_ok=True)
-        raise
-
-
 def checksum(content: bytes) -> bytes:
     """Return the line that an entry of the cache begins with."""
     return hashlib.sha256(content).hexdigest().encode() + b"\n"
@@ -105,7 +92,7 @@ def checksum(content: bytes) -> bytes:
 def keep(path: Path, content: bytes) -> None:
     """Keep an entry for :func:`kept` to return, unless there is no room for it."""
     with contextlib.suppress(OSError):
-        replace(path, checksum(content) + content)
+        write_whole(path, checksum(content) + content)
 
 
 def kept(path: Path) -> bytes | None:

@@ -6,6 +6,7 @@ it was before the call.
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 
@@ -76,3 +77,13 @@ class LockstepError(PearlError, AssertionError):
 
     def __str__(self) -> str:
         return str(self.divergence)
+
+
+def renamed(old: str, new: str) -> Any:
+    """Return a property that reads attribute ``new`` and warns that ``old`` is its name of before."""
+
+    def value(self: Any) -> Any:
+        warnings.warn(f"{old} is now {new}", DeprecationWarning, stacklevel=2)
+        return getattr(self, new)
+
+    return property(value)

@@ -17,34 +17,39 @@ from pearl_marl.errors import ArgumentError
 
 
 def replace_file(path: Path, content: bytes, keep: Path | None = None) -> None:
-    """Write a file beside its place, and put it there once it is on the disk; or raise ArgumentError.
-
-    Its folder is made. The file that was there goes to ``keep``, if that is given. For a moment there is only
-    this one. Of several who write at once, one is the last, and its file is whole. What those who were killed
-    left beside is removed.
-    """
+    """Do what :func:`write_whole` does, or raise ArgumentError that says how to go on."""
     try:
-        if _what(path) not in (None, stat.S_IFREG):  # a device would be replaced as a file is
-            raise OSError(errno.EEXIST, "there is something that is no file")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _remove_leftovers(path.parent)
-        with _scratch(path.parent) as (scratch, file):
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-            if keep is not None:
-                with contextlib.suppress(FileNotFoundError):
-                    os.replace(path, keep)
-            os.replace(scratch, path)
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)  # the names in it: a file's own fsync() does not bring them to the disk
-        finally:
-            os.close(folder)
+        write_whole(path, content, keep)
     except OSError as error:
         raise ArgumentError(
             f"{path} cannot be written: {error.strerror}; make room for it, or choose another place"
         ) from None
+
+
+def write_whole(path: Path, content: bytes, keep: Path | None = None) -> None:
+    """Write a file beside its place, and put it there once it is on the disk; or raise OSError.
+
+    Its folder is made. The file that was there goes to ``keep``, if that is given. For a moment there is only
+    this one. Of several writers at once, one is the last, and its file is whole. The scratch files of writers
+    that were killed are removed.
+    """
+    if _what(path) not in (None, stat.S_IFREG):  # a device would be replaced as a file is
+        raise OSError(errno.EEXIST, "there is something that is no file")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _remove_leftovers(path.parent)
+    with _scratch(path.parent) as (scratch, file):
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+        if keep is not None:
+            with contextlib.suppress(FileNotFoundError):
+                os.replace(path, keep)
+        os.replace(scratch, path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)  # the names in it: a file's own fsync() does not bring them to the disk
+    finally:
+        os.close(folder)
 
 
 @contextlib.contextmanager

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.reals import BUILTINS, FUNCTIONS, Real, constant
-from pearl_marl.remaking import Vocabulary, remade
+from pearl_marl.rebinding import Vocabulary, rebound
 
 u8 = np.uint8
 u16 = np.uint16
@@ -224,8 +224,8 @@ def as_python_runs_it(function: GoldenFunction, reals: bool = False) -> GoldenFu
     if not isinstance(function, types.FunctionType):
         return function
     if reals or hasattr(function, "admits"):
-        return remade(function, PLAIN._replace(functions=FUNCTIONS).meaning, names=BUILTINS)  # type: ignore[no-any-return]
-    return remade(function, PLAIN.meaning)  # type: ignore[no-any-return]
+        return rebound(function, PLAIN._replace(functions=FUNCTIONS).meaning, names=BUILTINS)  # type: ignore[no-any-return]
+    return rebound(function, PLAIN.meaning)  # type: ignore[no-any-return]
 
 
 def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any, ...]]:
@@ -244,11 +244,11 @@ def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any,
         return tuple(map(operator.index, result if isinstance(result, (tuple, list)) else (result,)))
 
     def run(*arguments: Any) -> tuple[Any, ...]:
-        given = [np.asarray(argument) for argument in arguments]
-        shape = np.broadcast_shapes(*(array.shape for array in given))
+        arrays = [np.asarray(argument) for argument in arguments]
+        shape = np.broadcast_shapes(*(array.shape for array in arrays))
         if not shape:
-            return tuple(_array([word])[0] for word in once(*(int(array[()]) for array in given)))
-        columns = [np.broadcast_to(array, shape).ravel() for array in given]
+            return tuple(_array([word])[0] for word in once(*(int(array[()]) for array in arrays)))
+        columns = [np.broadcast_to(array, shape).ravel() for array in arrays]
         places = _kinds(columns)
         rows = zip(*(column[places.first].tolist() for column in columns), strict=True)
         results = zip(*itertools.starmap(once, rows), strict=True)

@@ -27,7 +27,7 @@ from numba.core.serialize import dumps
 from pearl_marl import object_code
 from pearl_marl.cache import cache_folder, keep, kept, locked
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.places import place_of
+from pearl_marl.source_lines import source_line
 
 CONFIG: Any = numba.config
 
@@ -51,7 +51,7 @@ class Entries:
         self._dumps = dumps
 
     def _path(self, key: Any) -> Path:
-        versions = _layout(), sys.implementation.cache_tag, numba.__version__, np.__version__
+        versions = _format(), sys.implementation.cache_tag, numba.__version__, np.__version__
         # What of Numba's own variables is in the code.
         settings = [getattr(CONFIG, name, None) for name in SETTINGS]
         digest = hashlib.sha256(repr((key, versions, settings)).encode()).hexdigest()[:16]
@@ -73,7 +73,7 @@ class Entries:
 
 
 @functools.cache
-def _layout() -> str:
+def _format() -> str:
     """Return what changes when entries are written another way: then older ones are not found."""
     return hashlib.sha256(inspect.getsource(sys.modules[__name__]).encode()).hexdigest()
 
@@ -148,7 +148,7 @@ def _told(error: NumbaError) -> str:
         statement = linecache.getline(os.path.abspath(file), int(line)).strip()
         if statement and "kernels" not in Path(file).parts:
             return (
-                f"{place_of(file, int(line))}: unpack() cannot be compiled here: `{statement}`; "
+                f"{source_line(file, int(line))}: unpack() cannot be compiled here: `{statement}`; "
                 "it takes numbers, tuples of them, loops and `if`s, and writes elements of `row`"
             )
     return "unpack() cannot be compiled; it takes numbers, tuples of them, loops and `if`s"

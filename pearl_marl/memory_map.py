@@ -390,7 +390,7 @@ def default_map(
     word is the narrowest that keeps up with a group of slots a cycle, or the widest there is.
 
     What else a core takes is not known here: of one with many multipliers fewer may fit a part, which is what
-    :func:`pearl_marl.plan.plan` finds out.
+    :func:`pearl_marl.latency.plan` finds out.
     """
     # Every stream has a bank of its own, so the widest sets the pace.
     widest = max(stream_bits(spec).values())

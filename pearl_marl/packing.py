@@ -1,7 +1,7 @@
 """Observations as the words that an environment makes them of: a row of bytes instead of planes.
 
-Seaquest's ten planes of 100 elements are 69 bytes like this, ConnectFour's two boards 16. Whoever keeps or
-sends many of them does so packed, and unpacks those at hand.
+Seaquest's ten planes of 100 elements are 69 bytes like this, ConnectFour's two boards 16. Keep or
+send many of them packed, and unpack those at hand.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box
 
+from pearl_marl.checks import checked_choice
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction
@@ -29,8 +30,7 @@ FORMS = ("whole", "packed")
 
 def observed_as(spec: EnvSpec, observations: str) -> EnvSpec:
     """Return a spec whose observations are in one of :data:`FORMS`."""
-    if not isinstance(observations, str) or observations not in FORMS:
-        raise ArgumentError(f"observations is {observations!r}; possible are {', '.join(map(repr, FORMS))}")
+    checked_choice("observations", observations, FORMS)
     return packed(spec) if observations == "packed" else spec
 
 
@@ -86,6 +86,11 @@ def _packer(fields: tuple[Field, ...]) -> GoldenFunction:
     scope: dict[str, Any] = {"__name__": __name__}  # of whose module the function is
     exec("\n".join([f"def pack({names}, row):", *lines]), scope)
     pack: GoldenFunction = scope["pack"]
+
+    def plain(*words: Any) -> None:
+        words[-1][:] = np.frombuffer(np.array(words[:-1], layout).tobytes(), np.uint8)
+
+    pack.plain = plain  # type: ignore[attr-defined]
     return pack
 
 
@@ -105,7 +110,7 @@ def unpacked(spec: EnvSpec, rows: Array) -> Array:
             f"uint8 of the shape (n, {layout.itemsize})"
         )
     words = np.ascontiguousarray(rows).view(layout)[:, 0]
-    columns = (np.ascontiguousarray(words[f.name], f.dtype) for f in spec.observation)
+    columns = tuple(np.ascontiguousarray(words[f.name], f.dtype) for f in spec.observation)
     observations = np.empty((len(rows), *spec.observation_shape), spec.observation_dtype)
-    compile_kernels(spec).deliver(*columns, observations)
+    compile_kernels(spec).deliver(columns, observations, len(rows))
     return observations

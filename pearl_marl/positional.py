@@ -10,9 +10,9 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.fields import Field
 from pearl_marl.golden import Draws, GoldenFunction, Word
 from pearl_marl.layout import Layout, leaves
-from pearl_marl.places import place_of
 from pearl_marl.reals import Choice, Real, admitted, stored
 from pearl_marl.reals.words import rounded
+from pearl_marl.source_lines import source_line
 
 
 class Positional(NamedTuple):
@@ -150,14 +150,33 @@ def unpack_of(view: type | None, function: GoldenFunction, words: Iterable[Field
 
     Arrays are tuples there, as Numba wants them. What takes words already is returned as it is.
     """
-    if view is None or len(inspect.signature(function).parameters) != 2:
+    if not _unpacks_object(view, function):
         return _called_with(function, *(word.name for word in words), "row")
+    assert view is not None
     scope: dict[str, Any] = {"function": function, "__name__": function.__module__}
     names = [f"word_{word.name}" for word in words]  # whatever else a field is named like
     seen = _written(Layout(view).built(names), scope)
     exec(f"def unpack({', '.join(names)}, row):\n    function({seen}, row)", scope)
     unpack: GoldenFunction = scope["unpack"]
     return unpack
+
+
+def plain_unpack_of(view: type | None, function: GoldenFunction) -> GoldenFunction:
+    """Return what :func:`unpack_of` does without any generated code, for the device that checks that code."""
+    plain: GoldenFunction = getattr(function, "plain", function)
+    if not _unpacks_object(view, plain):
+        return plain
+    built = Layout(view).built  # type: ignore[arg-type]
+
+    def unpack(*words: Any) -> None:
+        plain(built(words[:-1]), words[-1])
+
+    return unpack
+
+
+def _unpacks_object(view: type | None, function: GoldenFunction) -> bool:
+    """Return whether an author's ``unpack`` takes an object of the view's class rather than words."""
+    return view is not None and len(inspect.signature(function).parameters) == 2
 
 
 def _written(value: Any, scope: dict[str, Any]) -> str:
@@ -196,7 +215,7 @@ def _called_with(function: GoldenFunction, *given: str) -> GoldenFunction:
     except TypeError as error:
         code = getattr(function, "py_func", function).__code__
         raise ArgumentError(
-            f"{place_of(code.co_filename, code.co_firstlineno)}: {function.__name__}() is called with "
+            f"{source_line(code.co_filename, code.co_firstlineno)}: {function.__name__}() is called with "
             f"({', '.join(given)}): {error}"
         ) from None
     return function

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pearl_marl.errors import ArgumentError, shown
-from pearl_marl.places import is_librarys, last_line, place_of
+from pearl_marl.source_lines import is_of_a_library, last_line_of_an_author, source_line
 
 if TYPE_CHECKING:
     from pearl_marl.spec import EnvSpec
@@ -104,7 +104,7 @@ def _import(module: str, name: str) -> None:
     if not all(part.isidentifier() for part in module.split(".")):
         raise ArgumentError(f"{name!r} names no module before its colon; write 'my_package:MyEnv'")
     package = module.partition(".")[0]
-    if not is_librarys(package):
+    if not is_of_a_library(package):
         _packages.add(package)
     try:
         importlib.import_module(module)
@@ -127,9 +127,9 @@ _packages: set[str] = set()
 
 def authors_mistake(error: Exception) -> str | None:
     """Return an exception as a sentence with the line of an author's package; ``None`` if none failed."""
-    place = last_line(error, lambda module: module.partition(".")[0] in _packages)
+    place = last_line_of_an_author(error, lambda module: module.partition(".")[0] in _packages)
     if _packages and isinstance(error, SyntaxError) and error.filename and error.lineno:
-        return f"{place_of(error.filename, error.lineno)}: {type(error).__name__}: {error.msg}"
+        return f"{source_line(error.filename, error.lineno)}: {type(error).__name__}: {error.msg}"
     told = ": ".join([type(error).__name__, *str(error).splitlines()[:1]])
     return f"{place}: {told}" if place else None
 

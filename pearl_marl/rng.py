@@ -36,6 +36,9 @@ MULTIPLIER_2 = 0x846CA68B
 CHAIN_A = 0x243F6A88
 CHAIN_B = 0x85A308D3
 
+LAST_TICK = 0xFFFFFFFFFFFFFFFF
+"""After it comes 0, as in hardware."""
+
 
 def mix32(x: Word) -> Word:
     """Mix a 32-bit word so that every input bit flips every output bit about half of the time.
@@ -103,8 +106,8 @@ def seed_words(seed: int) -> tuple[int, int]:
 
 
 def following(tick: int) -> int:
-    """Return the tick after one: after the last of 64 bits comes 0, as in hardware."""
-    return (tick + 1) & 0xFFFFFFFFFFFFFFFF
+    """Return the tick after one."""
+    return (tick + 1) & LAST_TICK
 
 
 def signed(tick: int) -> np.int64:

@@ -10,15 +10,15 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from numbers import Real
 from pathlib import Path
-from typing import Any, NamedTuple, TypeGuard
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import Env, Space
 from gymnasium.spaces import Box, Discrete, Tuple
 
+from pearl_marl.checks import checked_choice, checked_integer
 from pearl_marl.elements import ActionSpace, action_counts, are_numbers, bounds
 from pearl_marl.errors import ArgumentError
 from pearl_marl.fields import Field as Field
@@ -26,8 +26,16 @@ from pearl_marl.fields import word_bits as word_bits
 from pearl_marl.golden import MOST_DRAWS, CountingDraws, GoldenFunction, as_python_runs_it, call_reference
 from pearl_marl.layout import Interval, Layout, real_field
 from pearl_marl.pickling import reduced
-from pearl_marl.places import place_of
-from pearl_marl.positional import Positional, initial_of, step_of, takes_agent, unpack_of, view_of
+from pearl_marl.positional import (
+    Positional,
+    initial_of,
+    plain_unpack_of,
+    step_of,
+    takes_agent,
+    unpack_of,
+    view_of,
+)
+from pearl_marl.source_lines import source_line
 from pearl_marl.tracing.checks import Argument, Result, check
 from pearl_marl.tracing.operations import word_range
 from pearl_marl.tracing.records import RULES, record
@@ -221,8 +229,7 @@ class EnvSpec:
         self._check_action()
         if not isinstance(self.name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*", self.name):
             raise ArgumentError(f"name {self.name!r}: it takes letters and digits, a letter first")
-        if isinstance(self.version, bool) or not isinstance(self.version, int) or self.version < 0:
-            raise ArgumentError(f"{self.name}: version is {self.version!r}; it must be an integer from 0")
+        checked_integer(f"{self.name}: version", self.version, 0)
         if self.rewards is not None and self.reward.bits > 16:
             raise ArgumentError(f"{self.name}: a category of {self.reward.bits} bits; a table takes up to 16")
         if self.rewards is not None and self.reward.signed:
@@ -297,6 +304,11 @@ class EnvSpec:
             None if golden.masks is None else view_of(state, golden.masks, n, world=world),
             None if self.unpack is None else unpack_of(golden.view, self.unpack, self.observation),
         )
+
+    @cached_property
+    def plain_unpack(self) -> GoldenFunction | None:
+        """``unpack(*observation, row)`` as Python runs it, without the code that is generated for kernels."""
+        return None if self.unpack is None else plain_unpack_of(self.golden.view, self.unpack)
 
     @property
     def _is_world(self) -> bool:
@@ -387,7 +399,7 @@ class EnvSpec:
         except Exception as error:
             code = getattr(self.unpack, "py_func", self.unpack).__code__  # type: ignore[union-attr]
             raise ArgumentError(
-                f"{place_of(code.co_filename, code.co_firstlineno)}: unpack() fails for a row of "
+                f"{source_line(code.co_filename, code.co_firstlineno)}: unpack() fails for a row of "
                 f"{self.observation_size} elements, as {self.observation_space} has: {error}"
             ) from error
 
@@ -439,10 +451,8 @@ class EnvSpec:
 
     def _check_world(self) -> None:
         n, masks = self.agents, self.golden.masks
-        if isinstance(n, bool) or not isinstance(n, int) or not 1 <= n <= MAX_AGENTS:
-            raise ArgumentError(f"{self.name}: agents is {n!r}; a world has 1 to {MAX_AGENTS}")
-        if self.masked not in ("stay", "refused"):
-            raise ArgumentError(f"{self.name}: masked is {self.masked!r}; possible are 'stay' and 'refused'")
+        checked_integer(f"{self.name}: agents", n, 1, MAX_AGENTS)
+        checked_choice(f"{self.name}: masked", self.masked, ("stay", "refused"))
         if masks is None and (self.turns or self.masked == "refused"):
             what = "turns=True" if self.turns else "masked='refused'"
             raise ArgumentError(f"{self.name}: {what} goes by masks; give Golden(..., masks=...)")
@@ -663,17 +673,6 @@ def _result(word: Field) -> Result:
     return Result(word.name, low, high, limit, fix)
 
 
-def is_number(value: object, infinite: bool = False) -> TypeGuard[float]:
-    """Return whether a value is a real number that a float holds; with ``infinite``, also an infinite one."""
-    if isinstance(value, bool) or not isinstance(value, Real):
-        return False
-    try:
-        number = float(value)
-    except OverflowError:
-        return False
-    return math.isfinite(number) or (infinite and math.isinf(number))
-
-
 def check_spec(value: object) -> None:
     """Refuse what is no spec."""
     if not isinstance(value, EnvSpec):
@@ -682,19 +681,13 @@ def check_spec(value: object) -> None:
 
 def check_max_cycles(value: object) -> None:
     """Refuse a time limit that is no integer of ``0 .. 2**32 - 1``; ``None`` stands for the default."""
-    if value is None:
-        return
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or not 0 <= value <= MAX_CYCLES:
-        raise ArgumentError(
-            f"max_cycles is {value!r}; it must be an integer from 0 (no limit) to {MAX_CYCLES:,}"
-        )
+    if value is not None:
+        checked_integer("max_cycles", value, 0, MAX_CYCLES, "; 0 is no limit")
 
 
 def check_slots(name: str, value: object, first: int = 0) -> None:
     """Refuse a number of slots, called ``name``, that there cannot be from slot ``first`` on."""
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise ArgumentError(f"{name} is {value!r}; it must be an integer of at least 1")
-    if first + value > MAX_SLOTS:
+    if first + checked_integer(name, value) > MAX_SLOTS:
         there = f" from slot {first:,} on" if first else ""
         raise ArgumentError(
             f"{name} is {value:,}; random draws can tell {MAX_SLOTS - first:,} apart{there}: take no more"

@@ -19,14 +19,14 @@ ROOMS = (
     *(
         "rtl",
         "errors",
-        "limits",
+        "checks",
         "files",
         "arrays",
         "cache",
         "deferral",
         "version",
-        "remaking",
-        "places",
+        "rebinding",
+        "source_lines",
         "object_code",
         "machine_code",
         "tracing",
@@ -46,8 +46,8 @@ ROOMS = (
         "memory_map",
     ),
     *("batch", "rendering", "comparison", "compiler", "packing", "policies", "hardware", "devices"),
-    *("verification", "latency", "evaluation", "interfaces", "wrappers", "plan", "benchmark"),
-    *("porting", "testing", "training", "training_benchmark", "experiments", "cli", "__main__"),
+    *("verification", "latency", "plan", "evaluation", "interfaces", "wrappers"),
+    *("porting", "testing", "training", "benchmark", "experiments", "cli", "__main__"),
 )
 """From the lowest up. The package itself, ``pearl_marl/__init__.py``, is above all: no module imports it."""
 

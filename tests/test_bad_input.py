@@ -15,10 +15,9 @@ import pearl_marl
 from pearl_marl.devices import BatchConfig, Native, Ray, Rtl, Sharded
 from pearl_marl.devices.served import ServedBoard
 from pearl_marl.errors import ActionError, ArgumentError, OrderError, PearlError, SavedStateError
-from pearl_marl.latency import LINKS
+from pearl_marl.latency import LINKS, plan
 from pearl_marl.layout import Array, Bits
 from pearl_marl.memory_map import memory_map
-from pearl_marl.plan import plan
 from pearl_marl.policies.loading import load_policy, table_policy
 from pearl_marl.spec import Field, Golden
 from pearl_marl.wrappers import reward_lambda_v0
@@ -277,7 +276,7 @@ MAKE = [
         lambda f: f("FrozenLake", 2, success_rate=10**400),
         ArgumentError,
         "success_rate is 1000",
-        "it must be a probability",
+        "it must be a number from 0 to 1",
     ),
     refused(
         "huge rewards",
@@ -602,7 +601,7 @@ def kept(name: str, **before: Any) -> Golden:
         ),
         ({"max_cycles": -2}, "max_cycles is -2"),
         ({"name": 3}, "name 3: it takes letters"),
-        ({"version": "x"}, "Drift: version is 'x'; it must be an integer from 0"),
+        ({"version": "x"}, "Drift: version is 'x'; it must be an integer of at least 0"),
         ({"golden": kept("two words")}, "Drift: state field 'two words': a name takes letters, digits"),
         ({"golden": kept("0")}, "Drift: state field '0': .* and no digit first"),
         ({"golden": kept("Höhe")}, "Drift: state field 'Höhe': a name"),

@@ -90,12 +90,10 @@ def test_an_entry_is_for_everybody_who_may_read_the_folder(tmp_path: Path) -> No
 def test_a_full_disk_keeps_nothing_and_leaves_nothing_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def half(path: Path, content: bytes) -> int:
-        with path.open("wb") as file:
-            file.write(content[:10])
+    def full(_: int) -> None:
         raise FULL
 
-    monkeypatch.setattr(Path, "write_bytes", half)
+    monkeypatch.setattr(os, "fsync", full)
     keep(tmp_path / "entry", b"content")
     assert list(tmp_path.iterdir()) == []
 

@@ -17,6 +17,7 @@ import pearl_marl
 from pearl_marl import wrappers
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.deferral import PATIENCE, uninterrupted
+from pearl_marl.devices import Phase
 from pearl_marl.devices.threads import Threads
 from tests.devices.boards import OwnBoard
 
@@ -278,7 +279,7 @@ def test_an_interrupt_comes_before_a_call_or_after_it(maker: str, tries: int) ->
         each.reset_batch(0)
     before, came = env.save_state(), {False: 0, True: 0}
     for _ in range(tries):
-        if not env.unwrapped.autoreset and not env.live.any():
+        if not env.unwrapped.autoreset and not env.present.any():
             for each in (env, other):
                 each.reset_batch(1)
             before = env.save_state()
@@ -290,7 +291,7 @@ def test_an_interrupt_comes_before_a_call_or_after_it(maker: str, tries: int) ->
         seconds = time.perf_counter() - began
         after = other.save_state()
         with_it = interrupted(lambda call=call: call(env), rng.uniform(0, 1.5) * seconds)  # type: ignore[misc]
-        if env.unwrapped.device.under_way is not None:  # between the two halves of an exchange
+        if env.unwrapped.device.phase is Phase.STEPPING:  # between the two halves of an exchange
             env.recv()
         state = env.save_state()
         assert state in (before, after), f"{name}: neither before nor after"

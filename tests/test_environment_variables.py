@@ -141,5 +141,5 @@ def test_code_written_by_another_version_is_another_entry(
     monkeypatch.setenv("PEARL_CACHE_DIR", str(tmp_path))
     entries = Entries("function")
     entries.save("key", "code")
-    monkeypatch.setattr("pearl_marl.machine_code._layout", lambda: "another")
+    monkeypatch.setattr("pearl_marl.machine_code._format", lambda: "another")
     assert entries.load("key") is None

@@ -165,14 +165,14 @@ def test_agents_that_have_left_need_no_action() -> None:
     env = pearl_marl.parallel_env("Lamps", 40, autoreset=False)
     env.reset(seed=0)
     for actions in words_of(LAMPS, 11, n=40):
-        given = {agent: actions[env.slots[agent]] for agent in env.agents}
+        given = {agent: actions[env.rows[agent]] for agent in env.agents}
         env.step(given)
         if 0 < env.num_agents < 40:
             break
     else:
         pytest.fail("none has left alone")
     odd = np.full((40, 3), 7)
-    odd[[env.slots[agent] for agent in env.agents]] = 1
+    odd[[env.rows[agent] for agent in env.agents]] = 1
     env.step(odd)
 
 

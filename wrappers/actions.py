@@ -11,14 +11,14 @@ from gymnasium.spaces import Box, Space
 
 from pearl_marl.batch.actions import random_allowed, random_numbers
 from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.checks import checked_function, checked_number
 from pearl_marl.elements import ActionSpace
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
 from pearl_marl.interfaces.world import Mask
-from pearl_marl.spec import is_number
 
-from .base import Env, box, checked, checked_function, differing, wrap
-from .transform import Slots, Transform
+from .base import Env, box, checked, differing, wrap
+from .transform import Rows, Transform
 
 
 class _Mapped(Transform):
@@ -52,21 +52,21 @@ def action_lambda_v1(
     Parameters
     ----------
     change_action_fn
-        Takes actions of shape ``(n, ...)`` and one slot's space inside; returns as many rows for there.
+        Takes actions of shape ``(n, ...)`` and one agent's space inside; returns as many rows for there.
     change_space_fn
-        Takes one slot's space inside and returns the one to show.
+        Takes one agent's space inside and returns the one to show.
     """
     checked_function("change_action_fn", change_action_fn)
     checked_function("change_space_fn", change_space_fn)
 
     def make(batch: Batch, space: Space[Any], inside: Any) -> Transform:
-        shown = change_space_fn(inside)
-        if not isinstance(shown, ActionSpace):
+        new_space = change_space_fn(inside)
+        if not isinstance(new_space, ActionSpace):
             raise ArgumentError(
-                f"change_space_fn made {shown}; possible are Discrete, MultiDiscrete, MultiBinary and Box"
+                f"change_space_fn made {new_space}; possible are Discrete, MultiDiscrete, MultiBinary and Box"
             )
 
-        return _Checked(batch, space, shown, partial(_by_function, change_action_fn, inside))
+        return _Checked(batch, space, new_space, partial(_by_function, change_action_fn, inside))
 
     return wrap(env, make)
 
@@ -82,7 +82,7 @@ class _Clip(Transform):
         return clipped
 
     def possible(self, actions: Array) -> Mask:
-        return ~_nan_slots(actions) | super().possible(actions)
+        return ~_nan_rows(actions) | super().possible(actions)
 
 
 def clip_actions_v0(env: Env) -> Any:
@@ -103,8 +103,7 @@ def scale_actions_v0(env: Env, scale: float) -> Any:
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
         old = box(action_space, "scale_actions_v0", "actions")
-        if not is_number(scale) or scale <= 0:
-            raise ArgumentError(f"scale is {scale!r}; it must be a positive number")
+        checked_number("scale", scale, above=0)
         new = Box(old.low * scale, old.high * scale, dtype=np.float32)
         return _Mapped(batch, space, new, partial(np.multiply, scale))
 
@@ -116,9 +115,9 @@ class _PaddedActions(Transform):
 
     def __init__(self, batch: Batch, space: Space[Any], action_space: Any) -> None:
         super().__init__(batch, space, action_space)
-        self.world = batch.world.shown(None, action_space)
+        self.world = batch.world.with_spaces(None, action_space)
         own: list[Any] = [role.action_space for role in batch.world.roles]
-        self._counts = np.tile([part.n for part in own], self.n // batch.world.agents)
+        self._counts = np.tile([space.n for space in own], self.n // batch.world.agents)
 
     def actions(self, actions: Array) -> Array:
         self.check(actions)
@@ -138,25 +137,25 @@ class _NoNans(Transform):
 
     def __init__(self, batch: Batch, space: Space[Any], action_space: Any) -> None:
         super().__init__(batch, space, action_space)
-        self.action_kinds = "iuf"  # NaN is a float, whatever the action space
+        self.action_rules.kinds = "iuf"  # NaN is a float, whatever the action space
 
     def actions(self, actions: Array) -> Array:
         if actions.dtype.kind != "f":
             return actions
-        slots = np.flatnonzero(_nan_slots(actions))
-        if slots.size:
+        rows = np.flatnonzero(_nan_rows(actions))
+        if rows.size:
             actions = actions.copy()
-            actions[slots] = self.instead(slots)
+            actions[rows] = self.instead(rows)
         if isinstance(self.action_space, Box):
             return actions
         self.check(actions)
         return actions.astype(np.int64)
 
     def possible(self, actions: Array) -> Mask:
-        return _nan_slots(actions) | super().possible(actions)
+        return _nan_rows(actions) | super().possible(actions)
 
-    def instead(self, slots: Slots) -> Array:
-        """Return actions for these slots."""
+    def instead(self, rows: Rows) -> Array:
+        """Return actions for these rows."""
         raise NotImplementedError
 
 
@@ -165,15 +164,15 @@ class _NanNoop(_NoNans):
         super().__init__(batch, space, action_space)
         self._action = np.asarray(action)
 
-    def instead(self, slots: Slots) -> Array:
+    def instead(self, rows: Rows) -> Array:
         return self._action
 
 
 class _NanRandom(_NoNans):
-    def instead(self, slots: Slots) -> Array:
-        draws, masks = self.draws()[slots], self.batch.action_masks
+    def instead(self, rows: Rows) -> Array:
+        draws, masks = self.draws()[rows], self.batch.action_masks
         return (
-            random_numbers(self.action_space, draws) if masks is None else random_allowed(masks[slots], draws)
+            random_numbers(self.action_space, draws) if masks is None else random_allowed(masks[rows], draws)
         )
 
 
@@ -209,7 +208,7 @@ class _Sticky(Transform):
     def __init__(self, batch: Batch, space: Space[Any], action_space: Any, probability: float) -> None:
         super().__init__(batch, space, action_space)
         self._below = round(probability * 2**32)
-        dtype = np.float64 if "f" in self.action_kinds else np.int64
+        dtype = np.float64 if "f" in self.action_rules.kinds else np.int64
         self._taken = np.zeros((self.n, *(action_space.shape or ())), dtype)
         self._may_stick = np.zeros(self.n, np.bool_)
         self.memory = {"taken": self._taken, "may_stick": self._may_stick}
@@ -235,8 +234,8 @@ class _Sticky(Transform):
         self._may_stick[:] = True
         return super().results(step)
 
-    def episode_began(self, slots: Slots) -> None:
-        self._may_stick[slots] = False
+    def episode_began(self, rows: Rows) -> None:
+        self._may_stick[rows] = False
 
 
 def sticky_actions_v0(env: Env, repeat_action_probability: float) -> Any:
@@ -245,14 +244,11 @@ def sticky_actions_v0(env: Env, repeat_action_probability: float) -> Any:
     Where there are masks, one that is masked now is not repeated. SuperSuit draws the same for every agent if
     there is a seed.
     """
-    if not is_number(repeat_action_probability) or not 0 <= repeat_action_probability < 1:
-        raise ArgumentError(
-            f"repeat_action_probability is {repeat_action_probability!r}; it must be in [0, 1)"
-        )
-    return wrap(env, _Sticky, float(repeat_action_probability))
+    probability = checked_number("repeat_action_probability", repeat_action_probability, least=0, below=1)
+    return wrap(env, _Sticky, probability)
 
 
-def _nan_slots(actions: Array) -> Mask:
+def _nan_rows(actions: Array) -> Mask:
     """Return whose actions are not a number, or have an element that is not."""
     if actions.dtype.kind != "f":
         return np.zeros(len(actions), np.bool_)

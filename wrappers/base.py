@@ -22,19 +22,6 @@ Env: TypeAlias = PearlParallelEnv | PearlVectorEnv
 __all__ = ["Batch", "Transform", "box", "with_zeros", "wrap"]
 
 
-def checked_function(name: str, value: Any) -> None:
-    """Refuse what is no function, where a wrapper is made and not at the first step."""
-    if not callable(value):
-        raise ArgumentError(f"{name} is {value!r}; it must be a function")
-
-
-def checked_integer(name: str, value: Any, least: int = 1) -> int:
-    """Return an argument that has to be an integer of at least so many."""
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise ArgumentError(f"{name} is {value!r}; it must be an integer of at least {least}")
-    return value
-
-
 def wrap(env: Env, make: Callable[..., Transform], *arguments: Any) -> Any:
     """Put a transform around an environment.
 
@@ -43,7 +30,7 @@ def wrap(env: Env, make: Callable[..., Transform], *arguments: Any) -> Any:
     env
         A :class:`pearl_marl.PearlParallelEnv` or :class:`pearl_marl.PearlVectorEnv`, wrapped or not.
     make
-        Makes the transform from what is inside, the batch and one slot's spaces, and from ``arguments``.
+        Makes the transform from what is inside, the batch and one agent's spaces, and from ``arguments``.
 
     Returns
     -------
@@ -51,7 +38,7 @@ def wrap(env: Env, make: Callable[..., Transform], *arguments: Any) -> Any:
     """
     batch = checked(env).batch
     make_host_device(batch.innermost.device)  # a transform is NumPy's work
-    transform = make(batch, batch.slot_observation_space, batch.slot_action_space, *arguments)
+    transform = make(batch, batch.observation_space, batch.action_space, *arguments)
     _check_roles(batch, transform)
     return env.around(TransformedBatch(batch, transform))
 
@@ -78,7 +65,7 @@ def in_wrappers(env: Any, wrap: Callable[[Any], Any] | None, fits: Callable[[Any
 
 def differing(batch: Batch, what: str) -> list[str]:
     """Return the names of the roles whose ``what``, a space, is not that of the rows in arrays."""
-    whole = getattr(batch, f"slot_{what}")
+    whole = getattr(batch, what)
     return sorted({role.name for role in batch.world.roles if getattr(role, what) != whole})
 
 
@@ -89,14 +76,14 @@ def _check_roles(batch: Batch, transform: Transform) -> None:
         ("observation_space", transform.observation_space, "pad_observations_v0"),
         ("action_space", transform.action_space, "pad_action_space_v0"),
     ):
-        if shown is not getattr(batch, f"slot_{what}") and (roles := differing(batch, what)):
+        if shown is not getattr(batch, what) and (roles := differing(batch, what)):
             raise ArgumentError(
                 f"this wrapper would mix roles, and in {name} {' and '.join(roles)} have another {what} than "
                 f"the widest: put {pad} inside it"
             )
-    if batch.world.masked and transform.action_space is not batch.slot_action_space:
+    if batch.world.masked and transform.action_space is not batch.action_space:
         raise ArgumentError(
-            f"this wrapper changes the action space, and {name} has masks of {batch.slot_action_space}, "
+            f"this wrapper changes the action space, and {name} has masks of {batch.action_space}, "
             "which do not follow: change actions before you give them"
         )
 

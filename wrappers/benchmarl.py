@@ -65,7 +65,7 @@ class PearlTask(TaskClass):  # type: ignore[misc]  # benchmarl has no types
                 f"{name} has no time limit here, and BenchMARL's evaluation needs one: give max_cycles"
             )
         self._agents = one.env.agents_per_world
-        self._continuous = isinstance(one.env.batch.slot_action_space, Box)
+        self._continuous = isinstance(one.env.batch.action_space, Box)
         one.close()
 
     def _make(self, n_agents: int | None) -> Any:

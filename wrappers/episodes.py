@@ -9,6 +9,7 @@ from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.checks import Range
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import uniform_below
 from pearl_marl.interfaces.batch import Batch
@@ -43,7 +44,7 @@ class _FrameSkip(Transform):
         rewards, terminations, truncations, final_obs = (self.new.copy(array) for array in step[1:])
         over, started = self.world.begins(step), False
         for _ in range(1, count):
-            if over.all() or not self.batch.live.any():  # where agents leave, nobody may be left to step
+            if over.all() or not self.batch.present.any():  # where agents leave, none may be left to step
                 break
             started |= bool(over.any())
             step = super().take(actions)
@@ -54,8 +55,8 @@ class _FrameSkip(Transform):
             final_obs[now] = step.final_obs[now]
             over |= self.world.begins(step)
         # Worlds that ended on the way have gone on into their next episodes: those begin here instead. Where
-        # agents leave, nobody is there to see that.
-        again = (over & self.batch.live)[:: self.world.agents]
+        # agents leave, none is there to see that.
+        again = (over & self.batch.present)[:: self.world.agents]
         obs = self.batch.reset_slots(again) if started and again.any() else step.obs
         return self.carried(step, obs, rewards, terminations, truncations, final_obs)
 
@@ -71,8 +72,11 @@ def frame_skip_v0(env: Env, num_frames: int | tuple[int, int]) -> Any:
         How often, or the least and the most: then a number for all agents is drawn in every step.
     """
     counts = num_frames if isinstance(num_frames, tuple) else (num_frames, num_frames)
-    whole = all(isinstance(count, int) and not isinstance(count, bool) for count in counts)
-    if not whole or len(counts) != 2 or not 1 <= counts[0] <= counts[1]:
+    if (
+        len(counts) != 2
+        or any(count not in Range(least=1, whole=True) for count in counts)
+        or counts[0] > counts[1]
+    ):
         raise ArgumentError(
             f"num_frames is {num_frames!r}; it must be a positive integer, or the least and the most of them"
         )
@@ -90,22 +94,22 @@ def skips_frames(env: Env) -> bool:
 
 
 class _BlackDeath(Transform):
-    """Agents whose episode has ended stay, blind and without reward, until everybody's has."""
+    """Agents whose episode has ended stay, blind and without reward, until all agents' have."""
 
     def __init__(self, batch: Batch, space: Space[Any], action_space: Any) -> None:
         super().__init__(batch, with_zeros(space), action_space)
-        self._everybody, self._nobody = np.ones(self.n, np.bool_), np.zeros(self.n, np.bool_)
+        self._all, self._none = np.ones(self.n, np.bool_), np.zeros(self.n, np.bool_)
         self._present = np.zeros((), np.bool_)
         self._terminated, self._truncated = np.zeros(self.n, np.bool_), np.zeros(self.n, np.bool_)
         self.memory = {
-            "present": self._present,
+            "live": self._present,  # as saved states of before have it
             "terminated": self._terminated,
             "truncated": self._truncated,
         }
 
     @property
-    def live(self) -> Mask:
-        return self._everybody if self._present else self._nobody
+    def present(self) -> Mask:
+        return self._all if self._present else self._none
 
     def reset(self, obs: Array, seed: int | None, mask: Mask | None = None) -> Array:
         self._present[...] = True
@@ -114,24 +118,24 @@ class _BlackDeath(Transform):
         return super().reset(obs, seed, mask)
 
     def results(self, step: BatchStep) -> BatchStep:
-        alive = self.acting
-        self._terminated |= step.terminations & alive
-        self._truncated |= step.truncations & alive
-        self._present[...] = self.batch.live.any()
+        in_episode = self.acting
+        self._terminated |= step.terminations & in_episode
+        self._truncated |= step.truncations & in_episode
+        self._present[...] = self.batch.present.any()
         obs, rewards = self.new.copy(self.arrivals(step)), step.rewards.copy()
-        obs[~alive] = 0
-        rewards[~alive] = 0
+        obs[~in_episode] = 0
+        rewards[~in_episode] = 0
         over = ~self._present
         return self.carried(step, obs, rewards, self._terminated & over, self._truncated & over, obs)
 
     @property
     def action_masks(self) -> Array | None:
         masks = self.batch.action_masks
-        return None if masks is None else np.where(self.batch.live[:, None], masks, np.int8(0))
+        return None if masks is None else np.where(self.batch.present[:, None], masks, np.int8(0))
 
     def restored(self, obs: Array) -> Array:
         obs = obs.copy()
-        obs[~self.batch.live] = 0
+        obs[~self.batch.present] = 0
         return obs
 
 

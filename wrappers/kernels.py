@@ -1,4 +1,4 @@
-"""One pass over a batch where NumPy would make several: arrays of shape ``(n, k)``, a row a slot."""
+"""One pass over a batch where NumPy would make several: arrays of shape ``(n, k)``, a row an agent."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def moments(rows: Any, counted: Any, mean: Any, variance: Any) -> int:
         for i in range(n):
             if counted[i]:
                 for c in range(width):
-                    apart = rows[i, c] - mean[c]
-                    variance[c] += apart * apart
+                    difference = rows[i, c] - mean[c]
+                    variance[c] += difference * difference
         variance /= count
     return count
 
@@ -64,7 +64,7 @@ def rescaled(rows: Any, low: Any, size: Any, new_size: Any, new_low: Any, out: A
 
 @compiled
 def discounted(returns: Any, rewards: Any, terminations: Any, counted: Any, gamma: float) -> None:
-    """Add a step's rewards to each slot's discounted sum, as :func:`normalize_reward_v0` has it."""
+    """Add a step's rewards to each agent's discounted sum, as :func:`normalize_reward_v0` has it."""
     for i in range(returns.size):
         if counted[i]:
             before = 0.0 if terminations[i] else returns[i] * gamma

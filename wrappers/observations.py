@@ -11,17 +11,16 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete, Space
 
-from pearl_marl.batch.recycling import Recycler
-from pearl_marl.batch.results import memory_of_machine
+from pearl_marl.batch.results import Recycler, memory_of_machine
 from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.checks import checked_choice, checked_function, checked_integer, is_number
 from pearl_marl.elements import bounds
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
-from pearl_marl.spec import is_number
 
 from . import kernels
-from .base import Env, box, checked, checked_function, checked_integer, differing, with_zeros, wrap
-from .transform import Slots, Transform
+from .base import Env, box, checked, differing, with_zeros, wrap
+from .transform import Rows, Transform
 
 Change = Callable[[Array], Array]
 
@@ -62,9 +61,9 @@ def observation_lambda_v0(
     Parameters
     ----------
     change_observation_fn
-        Takes observations of shape ``(n, ...)`` and one slot's space; returns as many rows.
+        Takes observations of shape ``(n, ...)`` and one agent's space; returns as many rows.
     change_obs_space_fn
-        Takes one slot's space and returns the new one. ``None``: a ``Box`` whose bounds are those of the
+        Takes one agent's space and returns the new one. ``None``: a ``Box`` whose bounds are those of the
         old one, changed.
     """
     checked_function("change_observation_fn", change_observation_fn)
@@ -72,14 +71,16 @@ def observation_lambda_v0(
         checked_function("change_obs_space_fn", change_obs_space_fn)
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
-        shown: Space[Any] | None = None
+        new_space: Space[Any] | None = None
         if change_obs_space_fn is not None:
-            shown = change_obs_space_fn(space)
-            if not isinstance(shown, Space):
-                raise ArgumentError(f"change_obs_space_fn made {shown!r}; it must be a space of Gymnasium")
-        change = partial(_by_function, change_observation_fn, space, shown)
-        if shown is not None:
-            return _Mapped(batch, shown, action_space, change)
+            new_space = change_obs_space_fn(space)
+            if not isinstance(new_space, Space):
+                raise ArgumentError(
+                    f"change_obs_space_fn made {new_space!r}; it must be a space of Gymnasium"
+                )
+        change = partial(_by_function, change_observation_fn, space, new_space)
+        if new_space is not None:
+            return _Mapped(batch, new_space, action_space, change)
         old = box(space, "observation_lambda_v0 without change_obs_space_fn")
         ends = np.stack([change(bound[None])[0] for bound in (old.low, old.high)])
         new = Box(ends.min(0), ends.max(0), dtype=ends.dtype.type)
@@ -91,17 +92,18 @@ def observation_lambda_v0(
 def _by_function(
     change_observation_fn: Callable[[Array, Space[Any]], Array],
     space: Space[Any],
-    shown: Space[Any] | None,
+    new_space: Space[Any] | None,
     obs: Array,
 ) -> Array:
-    """Return what a user's function makes of observations, to be in the space ``shown`` if it is known."""
+    """Return what a user's function makes of observations, to be in ``new_space`` if that is known."""
     result = np.asarray(change_observation_fn(obs, space))
     if result.ndim == 0 or len(result) != len(obs):
         rows = len(result) if result.ndim else "no"
         raise ArgumentError(f"change_observation_fn made {rows} rows of {len(obs)}; it gets whole batches")
-    if shown is not None and shown.shape not in (None, result.shape[1:]):
+    if new_space is not None and new_space.shape not in (None, result.shape[1:]):
         raise ArgumentError(
-            f"change_observation_fn made rows of shape {result.shape[1:]}, and change_obs_space_fn {shown}"
+            f"change_observation_fn made rows of shape {result.shape[1:]}, and change_obs_space_fn "
+            f"{new_space}"
         )
     return result
 
@@ -154,8 +156,8 @@ def normalize_obs_v0(env: Env, env_min: float = 0.0, env_max: float = 1.0) -> An
             raise ArgumentError(f"normalize_obs_v0 takes finite bounds; {old} has others")
         new_size, new_low = old.dtype.type(env_max - env_min), old.dtype.type(env_min)
         scale = old.low.ravel(), (old.high - old.low).ravel(), new_size, new_low
-        shown = Box(env_min, env_max, old.shape, old.dtype.type)
-        return _Mapped(batch, shown, action_space, partial(_rescaled, Recycler(), scale))
+        new_space = Box(env_min, env_max, old.shape, old.dtype.type)
+        return _Mapped(batch, new_space, action_space, partial(_rescaled, Recycler(), scale))
 
     return wrap(env, make)
 
@@ -169,8 +171,7 @@ def _rescaled(new: Recycler, scale: tuple[Any, ...], obs: Array) -> Array:
 
 def color_reduction_v0(env: Env, mode: str = "full") -> Any:
     """Keep one channel of pictures (``"R"``, ``"G"``, ``"B"``) or their brightness (``"full"``)."""
-    if mode not in ("full", "R", "G", "B"):
-        raise ArgumentError(f"mode is {mode!r}; possible are 'full', 'R', 'G' and 'B'")
+    checked_choice("mode", mode, ("full", "R", "G", "B"))
     return _mapped(env, "color_reduction_v0", partial(_one_channel, mode))
 
 
@@ -195,8 +196,7 @@ def resize_v1(env: Env, x_size: int, y_size: int, linear_interp: bool = True) ->
     linear_interp
         Whether to mix the four nearest pixels (in ``float32``, and cut off for integers), not take one.
     """
-    checked_integer("x_size", x_size)
-    checked_integer("y_size", y_size)
+    x_size, y_size = checked_integer("x_size", x_size), checked_integer("y_size", y_size)
     return _mapped(env, "resize_v1", partial(_resized, x_size, y_size, linear_interp))
 
 
@@ -210,7 +210,7 @@ def _resized(x_size: int, y_size: int, linear_interp: bool, obs: Array) -> Array
     return result
 
 
-def _nearest(old: int, new: int) -> Slots:
+def _nearest(old: int, new: int) -> Rows:
     """Return which of ``old`` pixels each of ``new`` ones shows."""
     return ((np.arange(new) + 0.5) * old / new).astype(np.intp)
 
@@ -257,8 +257,8 @@ def agent_indicator_v0(env: Env, type_only: bool = False) -> Any:
             return _Mapped(batch, numbered, action_space, change)
         share = which[:, None] / max(n - 1, 1)
         numbers = share if k == 1 else (which[:, None] == np.arange(count)).astype(np.float64)
-        shown, change = _with_numbers(box(space, "agent_indicator_v0"), numbers)
-        return _Mapped(batch, shown, action_space, change)
+        new_space, change = _with_numbers(box(space, "agent_indicator_v0"), numbers)
+        return _Mapped(batch, new_space, action_space, change)
 
     return wrap(env, make)
 
@@ -302,7 +302,7 @@ def _appended(new: Recycler, numbers: Array, one: tuple[int, ...], obs: Array) -
 class _Padded(Transform):
     def __init__(self, batch: Batch, space: Space[Any], action_space: Any) -> None:
         super().__init__(batch, with_zeros(space), action_space)
-        self.world = batch.world.shown(self.observation_space, None)
+        self.world = batch.world.with_spaces(self.observation_space, None)
 
 
 def pad_observations_v0(env: Env) -> Any:
@@ -350,33 +350,33 @@ class _Window(Transform):
         newest = self._frame(0)
         newest[...] = obs.reshape(newest.shape)
 
-    def begin(self, obs: Array, slots: Slots) -> None:
+    def begin(self, obs: Array, rows: Rows) -> None:
         newest = self._frame(0)
-        first = obs.take(slots, 0).reshape(len(slots), *newest.shape[1:])
+        first = obs.take(rows, 0).reshape(len(rows), *newest.shape[1:])
         for frame in self._window:
-            frame[slots] = first if self._repeat else 0
-        newest[slots] = first
+            frame[rows] = first if self._repeat else 0
+        newest[rows] = first
 
-    def show(self, slots: Slots | None = None) -> Array:
-        shape = self.n if slots is None else len(slots), *(self.observation_space.shape or ())
-        out = (self.new.empty if slots is None else np.empty)(shape, self._window.dtype)
-        self.write(out, slots)
+    def show(self, rows: Rows | None = None) -> Array:
+        shape = self.n if rows is None else len(rows), *(self.observation_space.shape or ())
+        out = (self.new.empty if rows is None else np.empty)(shape, self._window.dtype)
+        self.write(out, rows)
         return out
 
-    def write(self, out: Array, slots: Slots | None) -> None:
-        """Write what to show the slots (all, if ``None``) of their frames."""
+    def write(self, out: Array, rows: Rows | None) -> None:
+        """Write the observations of some rows (all, if ``None``), made of their frames."""
         raise NotImplementedError
 
-    def _frame(self, age: int, slots: Slots | None = None) -> Array:
+    def _frame(self, age: int, rows: Rows | None = None) -> Array:
         """Return the frame of so many steps ago."""
         frame: Array = self._window[(int(self._turn) - age) % self._frames]
-        return frame if slots is None else frame.take(slots, 0)
+        return frame if rows is None else frame.take(rows, 0)
 
 
 def _check_frames(env: Env, name: str, frames: Any, least: int = 1) -> None:
     """Refuse what is no number of frames, or too many for this machine's memory."""
     checked_integer(name, frames, least)
-    space = checked(env).batch.slot_observation_space
+    space = checked(env).batch.observation_space
     most = memory_of_machine() // (env.batch.batch_size * max(1, int(np.prod(space.shape or ()))))
     if frames > most:
         raise ArgumentError(f"{name} is {frames:,}; this machine has memory for less than {most:,} frames")
@@ -401,13 +401,13 @@ class _FrameStack(_Window):
         width = int(np.prod(old.shape)) // rows
         super().__init__(batch, new, action_space, size, (rows, width), old.dtype, repeat)
 
-    def write(self, out: Array, slots: Slots | None) -> None:
+    def write(self, out: Array, rows: Rows | None) -> None:
         # A row of a frame moves as one thing, whatever it consists of.
         width = self._window.shape[3]
         row = np.dtype((np.void, width * out.itemsize))
         stacks = out.reshape(len(out), -1, self._frames * width).view(row)
         for age in range(self._frames):
-            stacks[:, :, self._frames - 1 - age] = self._frame(age, slots).view(row)[:, :, 0]
+            stacks[:, :, self._frames - 1 - age] = self._frame(age, rows).view(row)[:, :, 0]
 
 
 class _NumberStack(_Window):
@@ -423,11 +423,11 @@ class _NumberStack(_Window):
     def _range(self) -> tuple[Any, Any]:
         return 0, self._n_values - 1
 
-    def write(self, out: Array, slots: Slots | None) -> None:
+    def write(self, out: Array, rows: Rows | None) -> None:
         out[:] = 0
         for age in range(self._frames - 1, -1, -1):
             out *= self._n_values
-            out += self._frame(age, slots)
+            out += self._frame(age, rows)
 
 
 class _Together(Transform):
@@ -440,7 +440,7 @@ class _Together(Transform):
         return together
 
     def ends(self, step: BatchStep) -> Array:
-        # Beside those that ended, what the others of their world saw; who was dead, nothing.
+        # Beside those that ended, what the others of their world saw: nothing, if they had ended before.
         last = self.new.copy(self.arrivals(step))
         last[~self.acting] = 0
         return last
@@ -449,14 +449,14 @@ class _Together(Transform):
 def world_observations_v0(env: Env) -> Any:
     """Show each agent what all ``k`` agents of its world observe, in a ``Box`` of shape ``(k, ...)``.
 
-    Those of dead agents are zeros.
+    Those of agents that have ended before their world are zeros.
     """
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
         old, k = box(space, "world_observations_v0"), batch.world.agents
         low, high = (np.stack([bound] * k) for bound in (old.low, old.high))
-        shown = with_zeros(Box(low, high, dtype=old.dtype.type))
-        return _Together(batch, shown, action_space)
+        new_space = with_zeros(Box(low, high, dtype=old.dtype.type))
+        return _Together(batch, new_space, action_space)
 
     return wrap(env, make)
 
@@ -483,8 +483,7 @@ def frame_stack_v2(env: Env, stack_size: int = 4, stack_dim: int = -1) -> Any:
 
 def _frame_stack(env: Env, size: int, axis: int, repeat: bool) -> Any:
     _check_frames(env, "stack_size", size)
-    if isinstance(axis, bool) or not isinstance(axis, int) or axis not in (0, -1):
-        raise ArgumentError(f"stack_dim is {axis!r}; possible are 0 and -1")
+    checked_choice("stack_dim", axis, (0, -1))
 
     def make(batch: Batch, space: Space[Any], action_space: Any) -> Transform:
         if isinstance(space, Discrete):
@@ -495,15 +494,15 @@ def _frame_stack(env: Env, size: int, axis: int, repeat: bool) -> Any:
 
 
 class _Delay(_Window):
-    def write(self, out: Array, slots: Slots | None) -> None:
-        out[...] = self._frame(self._frames - 1, slots).reshape(out.shape)
+    def write(self, out: Array, rows: Rows | None) -> None:
+        out[...] = self._frame(self._frames - 1, rows).reshape(out.shape)
 
 
 class _Maximum(_Window):
-    def write(self, out: Array, slots: Slots | None) -> None:
-        out[...] = self._frame(0, slots).reshape(out.shape)
+    def write(self, out: Array, rows: Rows | None) -> None:
+        out[...] = self._frame(0, rows).reshape(out.shape)
         for age in range(1, self._frames):
-            np.maximum(out, self._frame(age, slots).reshape(out.shape), out=out)
+            np.maximum(out, self._frame(age, rows).reshape(out.shape), out=out)
 
 
 def _window(env: Env, name: str, kind: type[_Window], frames: int, repeat: bool) -> Any:

@@ -10,11 +10,11 @@ import numpy as np
 from gymnasium.spaces import Space
 
 from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.checks import checked_function, is_number
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
-from pearl_marl.spec import is_number
 
-from .base import Env, checked_function, wrap
+from .base import Env, wrap
 from .transform import Transform
 
 
@@ -54,7 +54,7 @@ class _Shared(Transform):
 
 
 def shared_reward_v0(env: Env) -> Any:
-    """Give every agent the sum of the rewards in its world, as a team; the dead get none."""
+    """Give every agent the sum of the rewards in its world, as a team; agents that have ended get none."""
     return wrap(env, _Shared)
 
 

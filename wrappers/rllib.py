@@ -52,15 +52,15 @@ def rllib_vector_env(env_id: str, *, wrap: Callable[[Any], Any] | None = None, *
     _check_vector_arguments(arguments)
 
     def create(config: Mapping[str, Any]) -> Any:
-        given = {**arguments, **config}
-        if "num_envs" not in given:
+        chosen = {**arguments, **config}
+        if "num_envs" not in chosen:
             raise ArgumentError(
                 "env_config has no num_envs, which RLlib adds for vector environments: "
                 "configure env_runners(gym_env_vectorize_mode='vector_entry_point')"
             )
-        _check_vector_arguments(given)
-        given["autoreset_mode"] = AutoresetMode.NEXT_STEP
-        env = make_vec(env_id, given.pop("num_envs"), **given)
+        _check_vector_arguments(chosen)
+        chosen["autoreset_mode"] = AutoresetMode.NEXT_STEP
+        env = make_vec(env_id, chosen.pop("num_envs"), **chosen)
         mode = AutoresetMode.NEXT_STEP
         return in_wrappers(env, wrap, lambda it: isinstance(it, PearlVectorEnv) and it.autoreset_mode is mode)
 
@@ -90,9 +90,9 @@ def rllib_multi_agent_env(
     _check_parallel_arguments(arguments)
 
     def create(config: Mapping[str, Any]) -> Any:
-        given = {"n_agents": n_agents, **arguments, **config}
-        _check_parallel_arguments(given)
-        env = parallel_env(env_id, **{**given, "autoreset": False})
+        chosen = {"n_agents": n_agents, **arguments, **config}
+        _check_parallel_arguments(chosen)
+        env = parallel_env(env_id, **{**chosen, "autoreset": False})
         env = in_wrappers(env, wrap, lambda it: isinstance(it, PearlParallelEnv) and not it.autoreset)
         from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 
@@ -111,12 +111,12 @@ class _Masked(pettingzoo.utils.BaseParallelWrapper):  # type: ignore[misc]
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         """Begin an episode."""
         observations, infos = self.env.reset(seed, options)
-        return {agent: _renamed(seen) for agent, seen in observations.items()}, infos
+        return {agent: _renamed(obs) for agent, obs in observations.items()}, infos
 
     def step(self, actions: dict[str, Any]) -> Any:
         """Step once."""
         observations, *others = self.env.step(actions)
-        return {agent: _renamed(seen) for agent, seen in observations.items()}, *others
+        return {agent: _renamed(obs) for agent, obs in observations.items()}, *others
 
 
 def _renamed(observation: Mapping[str, Any]) -> dict[str, Any]:

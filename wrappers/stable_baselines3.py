@@ -18,6 +18,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import BatchStep
+from pearl_marl.checks import checked_flag
 from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, OrderError
@@ -74,13 +75,11 @@ class PearlVecEnv(VecEnv):
     def __init__(self, env: Any, staggered: bool = False) -> None:
         self._batch = batch = _checked(env)
         self.env = env
-        self._show, observation_space = _observations_for_sb3(batch.slot_observation_space)
-        super().__init__(batch.batch_size, observation_space, batch.slot_action_space)
+        self._show, observation_space = _observations_for_sb3(batch.observation_space)
+        super().__init__(batch.batch_size, observation_space, batch.action_space)
         self.metadata = env.metadata  # whose render_fps films go by
         device = make_host_device(batch.innermost.device)
-        if not isinstance(staggered, bool):
-            raise ArgumentError(f"staggered is {staggered!r}; it must be True or False")
-        if staggered and not device.config.limit:
+        if checked_flag("staggered", staggered) and not device.config.limit:
             raise ArgumentError(
                 "staggered=True spreads a time limit, and this environment has none (max_cycles=0): "
                 "leave it out, or make the environment with max_cycles"
@@ -133,9 +132,9 @@ class PearlVecEnv(VecEnv):
         actions, self._actions = self._actions, None
         if isinstance(self.action_space, MultiBinary):
             actions = _flags(actions)
-        dead = ~self._batch.alive if self._batch.world.agents > 1 else np.False_
+        over = ~self._batch.in_episode if self._batch.world.agents > 1 else np.False_
         step = self._batch.step_batch(actions)
-        dones = step.ended | (dead & step.alive) if dead.any() else step.ended
+        dones = step.ended | (over & step.in_episode) if over.any() else step.ended
         return self._own(step.obs), step.rewards, dones, self._infos(step)
 
     def _infos(self, step: BatchStep) -> list[dict[str, Any]]:
@@ -173,8 +172,8 @@ class PearlVecEnv(VecEnv):
 
     def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
         """Refuse options for the next :meth:`reset`: these environments have none, and empty ones pass."""
-        given = options if isinstance(options, list) else [options or {}]
-        first = next((one for one in given if one), None)
+        values = options if isinstance(options, list) else [options or {}]
+        first = next((one for one in values if one), None)
         if first is not None:
             raise ArgumentError(
                 f"reset option {next(iter(first))!r}: these environments have none; "
@@ -275,17 +274,17 @@ def _checked(env: Any) -> Batch:
 
 def _flags(actions: Array) -> Array:
     """Return flags as integers, which SB3's policies give as floats; what is none is left to be refused."""
-    given = np.asarray(actions)
-    whole = given.dtype.kind == "f" and ((given == 0) | (given == 1)).all()
-    return given.astype(np.int8) if whole else actions
+    values = np.asarray(actions)
+    whole = values.dtype.kind == "f" and ((values == 0) | (values == 1)).all()
+    return values.astype(np.int8) if whole else actions
 
 
 def _observations_for_sb3(space: Space[Any]) -> tuple[Callable[[Array], Array], Space[Any]]:
     """Return what makes observations SB3's, and the space of those."""
     if isinstance(space, Tuple):
         parts: tuple[Any, ...] = space.spaces
-        starts = np.array([part.start for part in parts])
-        shown: Space[Any] = MultiDiscrete([part.n for part in parts])
+        starts = np.array([space.start for space in parts])
+        shown: Space[Any] = MultiDiscrete([space.n for space in parts])
     elif isinstance(space, Discrete):
         starts, shown = np.array(space.start), Discrete(space.n)
     elif isinstance(space, MultiDiscrete):

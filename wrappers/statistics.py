@@ -8,14 +8,14 @@ import numpy as np
 from gymnasium.spaces import Box, Space
 
 from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.checks import checked_number
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
 from pearl_marl.interfaces.world import Mask
-from pearl_marl.spec import is_number
 
 from . import kernels
 from .base import Env, box, wrap
-from .transform import Slots, Transform
+from .transform import Rows, Transform
 
 _FARTHEST = 1e100
 """Statistics of no environment go so far; of a saved state that says so, their squares would be infinite."""
@@ -30,9 +30,7 @@ class _Normalised(Transform):
         self, batch: Batch, space: Space[Any], action_space: Any, width: int, epsilon: float
     ) -> None:
         super().__init__(batch, space, action_space)
-        if not is_number(epsilon) or epsilon <= 0:
-            raise ArgumentError(f"epsilon is {epsilon!r}; it must be a positive number")
-        self._epsilon = float(epsilon)
+        self._epsilon = checked_number("epsilon", epsilon, above=0)
         self._mean, self._variance, self._count = np.zeros(width), np.ones(width), np.full((), 1e-4)
         self._statistics = {"mean": self._mean, "variance": self._variance, "count": self._count}
         self.memory = dict(self._statistics)
@@ -52,9 +50,9 @@ class _Normalised(Transform):
         mean, variance = np.empty_like(self._mean), np.empty_like(self._mean)
         count = kernels.moments(rows.reshape(self.n, -1), counted, mean, variance)
         total = self._count + count
-        apart = mean - self._mean
-        spread = self._variance * self._count + variance * count + apart**2 * self._count * count / total
-        self._mean += apart * count / total
+        difference = mean - self._mean
+        spread = self._variance * self._count + variance * count + difference**2 * self._count * count / total
+        self._mean += difference * count / total
         self._variance[:] = spread / total
         self._count[...] = total
 
@@ -84,7 +82,7 @@ class _NormalisedObservation(_Normalised):
     def results(self, step: BatchStep) -> BatchStep:
         # What is counted is what is seen; the ends of episodes are not where the next begins at once.
         if self.batch.autoreset:
-            self.update(step.obs, self.batch.alive)
+            self.update(step.obs, self.batch.in_episode)
         else:
             self.update(step.arrivals(), self.acting)
         return super().results(step)
@@ -101,9 +99,7 @@ class _NormalisedReward(_Normalised):
         self, batch: Batch, space: Space[Any], action_space: Any, gamma: float, epsilon: float
     ) -> None:
         super().__init__(batch, space, action_space, 1, epsilon)
-        if not is_number(gamma) or not 0 <= gamma <= 1:
-            raise ArgumentError(f"gamma is {gamma!r}; it must be in [0, 1]")
-        self._gamma = float(gamma)
+        self._gamma = checked_number("gamma", gamma, 0, 1)
         self._returns = np.zeros(self.n)
         self.memory["returns"] = self._returns
 
@@ -113,8 +109,8 @@ class _NormalisedReward(_Normalised):
         self.update(self._returns, counted)
         return (step.rewards / self.deviation()).astype(np.float32)
 
-    def episode_began(self, slots: Slots) -> None:
-        self._returns[slots] = 0
+    def episode_began(self, rows: Rows) -> None:
+        self._returns[rows] = 0
 
 
 def normalize_observation_v0(env: Env, epsilon: float = 1e-8) -> Any:

@@ -15,6 +15,7 @@ from torchrl.envs import EnvBase
 
 from pearl_marl.batch.actions import random_allowed
 from pearl_marl.batch.step import Array
+from pearl_marl.checks import checked_flag
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.elements import action_counts, bounds
 from pearl_marl.errors import ArgumentError
@@ -22,7 +23,7 @@ from pearl_marl.interfaces.parallel import PearlParallelEnv
 from pearl_marl.spec import Role
 
 from .episodes import skips_frames
-from .waiting import Shown, WaitingWorlds
+from .waiting import WaitingWorlds, WorldsStep
 
 FLAGS = "done", "terminated", "truncated"
 
@@ -48,8 +49,7 @@ def to_torchrl(env: Any, *, state: bool = False) -> TorchRLEnv:
     ArgumentError
         It is no such environment, or in a wrapper that skips frames.
     """
-    if not isinstance(state, bool):
-        raise ArgumentError(f"state is {state!r}; it must be True or False")
+    checked_flag("state", state)
     return TorchRLEnv(_checked(env), state)
 
 
@@ -57,13 +57,13 @@ class _Group(NamedTuple):
     """The agents of one role."""
 
     role: Role
-    places: list[int]
+    members: list[int]
     """Where in a world they are."""
 
-    def part(self, rows: Array, space: Space[Any] | None = None) -> torch.Tensor:
+    def own(self, rows: Array, space: Space[Any] | None = None) -> torch.Tensor:
         """Return their part of an array of shape ``(n, K, ...)``: of their rows, what is in their space."""
-        first, last, size = self.places[0], self.places[-1], len(self.places)
-        own = rows[:, first : last + 1] if last - first < size else rows[:, self.places]
+        first, last, size = self.members[0], self.members[-1], len(self.members)
+        own = rows[:, first : last + 1] if last - first < size else rows[:, self.members]
         if isinstance(space, Discrete):  # masks: as many actions as there are
             own = own[..., : space.n]
         elif isinstance(space, Box) and len(space.shape) == 1:
@@ -80,8 +80,8 @@ class TorchRLEnv(EnvBase):  # type: ignore[misc]  # torchrl has no types
     ``(group, "observation")``
         Shape ``(n, K, ...)``. Where an episode ended, its last; ``reset`` then shows the first of the next.
     ``(group, "action_mask")``
-        ``bool``, shape ``(n, K, n_actions)``, where there are masks. Who has no choice, being over or not on
-        turn, may take action 0, which is ignored.
+        ``bool``, shape ``(n, K, n_actions)``, where there are masks. An agent without a choice, being
+        over or not on turn, may take action 0, which is ignored.
     ``(group, "reward")``
         ``float32``, shape ``(n, K, 1)``.
     ``"done"``, ``"terminated"``, ``"truncated"``
@@ -105,7 +105,7 @@ class TorchRLEnv(EnvBase):  # type: ignore[misc]  # torchrl has no types
         self._next_seed: int | None = None
         self._groups = _groups(env)
         self.group_map = {
-            name: [env.possible_agents[place] for place in group.places]
+            name: [env.possible_agents[member] for member in group.members]
             for name, group in self._groups.items()
         }
         self._make_specs()
@@ -122,8 +122,8 @@ class TorchRLEnv(EnvBase):  # type: ignore[misc]  # torchrl has no types
     def _make_specs(self) -> None:
         seen, acted, rewarded = Composite(), Composite(), Composite()
         done = Composite({flag: _bools((1,)) for flag in FLAGS})
-        for name, (role, places) in self._groups.items():
-            k = (len(places),)
+        for name, (role, members) in self._groups.items():
+            k = (len(members),)
             shown = {"observation": _spec(role.observation_space, k)}
             if self.env.batch.world.masked:
                 shown["action_mask"] = _bools((*k, action_counts(role.action_space)[0]))
@@ -155,33 +155,33 @@ class TorchRLEnv(EnvBase):  # type: ignore[misc]  # torchrl has no types
     def _actions(self, tensordict: TensorDictBase) -> Array:
         """Return the actions of all groups, a row an agent."""
         worlds = self._worlds
-        given = {name: tensordict.get((name, "action")).cpu().numpy() for name in self._groups}
-        if len(given) == 1:
-            (whole,) = given.values()
+        actions = {name: tensordict.get((name, "action")).cpu().numpy() for name in self._groups}
+        if len(actions) == 1:
+            (whole,) = actions.values()
         else:
-            first = next(iter(given.values()))
+            first = next(iter(actions.values()))
             whole = np.empty((worlds.n, worlds.k, *first.shape[2:]), first.dtype)
             for name, group in self._groups.items():
-                whole[:, group.places] = given[name]
+                whole[:, group.members] = actions[name]
         rows: Array = whole.reshape(worlds.n * worlds.k, *whole.shape[2:])
         return rows
 
-    def _tensordict(self, shown: Shown, rewarded: bool = False) -> TensorDictBase:
+    def _tensordict(self, step: WorldsStep, rewarded: bool = False) -> TensorDictBase:
         def flags(terminated: Array, truncated: Array) -> dict[str, Array]:
             columns = terminated | truncated, terminated, truncated
             return {flag: column[..., None] for flag, column in zip(FLAGS, columns, strict=True)}
 
-        n, agents = len(shown.obs), flags(shown.terminated, shown.truncated)
+        n, agents = len(step.obs), flags(step.terminated, step.truncated)
         if rewarded:
-            agents["reward"] = shown.rewards[..., None]
-        worlds = flags(shown.world_terminated, shown.world_truncated)
+            agents["reward"] = step.rewards[..., None]
+        worlds = flags(step.world_terminated, step.world_truncated)
         out: dict[str, Any] = {flag: torch.from_numpy(column) for flag, column in worlds.items()}
         for name, group in self._groups.items():
-            own = {key: group.part(rows) for key, rows in agents.items()}
-            own["observation"] = group.part(shown.obs, group.role.observation_space)
-            if shown.masks is not None:
-                own["action_mask"] = group.part(shown.masks, group.role.action_space)
-            out[name] = TensorDict(own, batch_size=(n, len(group.places)), device=self.device)
+            own = {key: group.own(rows) for key, rows in agents.items()}
+            own["observation"] = group.own(step.obs, group.role.observation_space)
+            if step.masks is not None:
+                own["action_mask"] = group.own(step.masks, group.role.action_space)
+            out[name] = TensorDict(own, batch_size=(n, len(group.members)), device=self.device)
         if self._with_state:
             out["state"] = torch.from_numpy(self._worlds.state())
         return TensorDict(out, batch_size=(n,), device=self.device)
@@ -196,7 +196,7 @@ class TorchRLEnv(EnvBase):  # type: ignore[misc]  # torchrl has no types
         actions = random_allowed(masks.reshape(len(draws), -1).view(np.int8), draws)
         drawn = TensorDict(batch_size=self.batch_size) if tensordict is None else tensordict
         for name, group in self._groups.items():
-            drawn[name, "action"] = group.part(actions.reshape(worlds.n, worlds.k)).to(self.device)
+            drawn[name, "action"] = group.own(actions.reshape(worlds.n, worlds.k)).to(self.device)
         return drawn
 
     def _set_seed(self, seed: int | None) -> None:
@@ -238,17 +238,17 @@ def _groups(env: PearlParallelEnv) -> dict[str, _Group]:
     """Return the groups of a world's agents by their names."""
     roles = env.batch.world.roles
     if not roles:
-        space = env.batch.slot_observation_space, env.batch.slot_action_space
+        space = env.batch.observation_space, env.batch.action_space
         return {"agents": _Group(Role("agent", *space), list(range(env.agents_per_world)))}
     groups: dict[str, _Group] = {}
-    for place, role in enumerate(roles):
+    for member, role in enumerate(roles):
         group = groups.setdefault(role.name, _Group(role, []))
         if group.role != role:
             raise ArgumentError(
                 f"two roles are named {role.name!r} and differ in their spaces, which a group has in common: "
                 "give each a name"
             )
-        group.places.append(place)
+        group.members.append(member)
     return groups
 
 

@@ -1,29 +1,30 @@
-"""What a wrapper does: a change to whole arrays, on their way into and out of a batch of slots."""
+"""What a wrapper does: a change to whole arrays, on their way into and out of a batch."""
 
 from __future__ import annotations
 
 import secrets
+import warnings
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Box, Space
+from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
-from pearl_marl.batch.actions import refusal, refuse_first
-from pearl_marl.batch.recycling import Recycler
+from pearl_marl.batch.actions import ActionRules
+from pearl_marl.batch.results import Recycler
 from pearl_marl.batch.step import Array, BatchStep
-from pearl_marl.elements import ActionSpace, bounds
-from pearl_marl.errors import ActionError, OrderError
+from pearl_marl.elements import ActionSpace
+from pearl_marl.errors import OrderError, renamed
 from pearl_marl.interfaces.batch import Batch
 from pearl_marl.interfaces.world import Mask
 
-Slots = npt.NDArray[np.intp]
+Rows = npt.NDArray[np.intp]
 
 
 class Transform:
-    """A change to what goes into and comes out of a batch of slots; by itself it changes nothing.
+    """A change to what goes into and comes out of a batch; by itself it changes nothing.
 
     A subclass overrides :meth:`actions`, :meth:`rewards`, and of the observations either
     :meth:`observe`, if each depends on nothing but itself, or :meth:`push`, :meth:`begin` and
@@ -37,12 +38,12 @@ class Transform:
         One agent's spaces, with the change; of roles, the widest.
     world
         How agents share states, with the change.
-    action_kinds
-        The kinds of dtype that actions may have.
+    action_rules
+        Which actions may be taken.
     acting
-        Who acts in the step under way: is there, and not dead.
+        Which agents act in the step under way: are present, and in an episode.
     resetting
-        Which slots spend the step resetting; in NEXT_STEP mode only.
+        Which rows spend the step resetting; in NEXT_STEP mode only.
     memory
         Arrays that a saved state has to hold, by name. They are only ever written into, never replaced.
     new
@@ -52,33 +53,48 @@ class Transform:
     keeps_history = False
     """Whether observations depend on earlier ones: :meth:`push`, :meth:`begin` and :meth:`show` are used."""
 
+    action_rules: ActionRules
+
     def __init__(self, batch: Batch, observation_space: Space[Any], action_space: ActionSpace) -> None:
         self.batch, self.n = batch, batch.batch_size
         self.observation_space, self.action_space = observation_space, action_space
-        self.world = batch.world.shown(
-            None if observation_space is batch.slot_observation_space else observation_space,
-            None if action_space is batch.slot_action_space else action_space,
+        self.world = batch.world.with_spaces(
+            None if observation_space is batch.observation_space else observation_space,
+            None if action_space is batch.action_space else action_space,
         )
         inside: Transform | None = getattr(batch, "transform", None)
-        # Whom to ask about actions that are handed through.
+        # What decides about actions that are handed through.
         self._taker = inside if inside is not None and inside.action_space is action_space else None
-        self.action_kinds = "iuf" if isinstance(action_space, Box) else "iu"
-        if self._taker is not None:
-            self.action_kinds = self._taker.action_kinds
+        spec = batch.innermost.spec
+        self.action_rules = ActionRules(
+            action_space,
+            self.n,
+            # Of another space, its elements have no names.
+            [field.name for field in spec.action_fields] if action_space == spec.action_space else [],
+            kinds="" if self._taker is None else self._taker.action_rules.kinds,
+        )
         self.memory: dict[str, Array] = {}
         self.new = Recycler()
-        self.acting, self.resetting = batch.live, np.zeros(self.n, np.bool_)
+        self.acting, self.resetting = batch.present, np.zeros(self.n, np.bool_)
         self._seed: tuple[int, int] | None = None
         self._tick = 0
         self._depth: int = 0 if inside is None else inside._depth + 1
 
+    live = renamed("live", "present")
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if "live" in vars(cls):  # by the name that it had before
+            warnings.warn(f"{cls.__name__}.live is now present", DeprecationWarning, stacklevel=2)
+            setattr(cls, "present", vars(cls)["live"])  # noqa: B010, as mypy takes properties for constants
+
     @property
-    def live(self) -> Mask:
-        """Which slots' agents are there, in the environment that this makes: those of the batch.
+    def present(self) -> Mask:
+        """Which agents are present in the environment that this makes: those of the batch.
 
         Another array whenever that changes; see :class:`pearl_marl.interfaces.batch.Batch`.
         """
-        return self.batch.live
+        return self.batch.present
 
     @property
     def action_masks(self) -> Array | None:
@@ -100,16 +116,16 @@ class Transform:
         self.resetting[began] = False
         self.episode_began(began)
         if not self.keeps_history:
-            return self._without_the_dead(self.observe(obs))
+            return self._outside_episodes_zero(self.observe(obs))
         self.begin(obs, began)
-        return self._without_the_dead(self.show())
+        return self._outside_episodes_zero(self.show())
 
     def step(self, actions: npt.ArrayLike) -> BatchStep:
-        """Step every slot once."""
-        actions = self.actions(self.given(actions))
-        self.acting = self.batch.live
+        """Step every world once."""
+        actions = self.actions(self.array(actions))
+        self.acting = self.batch.present
         if self.world.agents > 1:
-            self.acting = self.acting & self.batch.alive
+            self.acting = self.acting & self.batch.in_episode
         step = self.take(actions)
         self._tick += 1
         return self.results(step)
@@ -118,44 +134,28 @@ class Transform:
         """Step the batch; once, unless a subclass has it otherwise."""
         return self.batch.step_batch(actions)
 
-    def given(self, actions: npt.ArrayLike) -> Array:
+    def array(self, actions: npt.ArrayLike) -> Array:
         """Return actions as an array; refuse them if it has not the shape and kind of dtype of actions."""
         if not self.ready:
             raise OrderError("step() before reset(): call reset() of the outermost wrapper first")
         try:
             array = np.asarray(actions)
-        except ValueError:  # a ragged list
-            raise self._refusal(actions) from None
-        shape = self.n, *(self.action_space.shape or ())
-        if array.shape != shape or array.dtype.kind not in self.action_kinds:
-            raise self._refusal(actions)
+        except ValueError:  # some are sequences of other lengths
+            raise self.action_rules.refusal(actions) from None
+        if not self.action_rules.are_actions(array, self.n):
+            raise self.action_rules.refusal(actions)
         return array
 
     def possible(self, actions: Array) -> Mask:
-        """Return which slots' actions are valid, or become valid in a wrapper inside."""
-        if self._taker is not None:
-            return self._taker.possible(actions)
-        low, high = bounds(self.action_space)
-        within: Any = (low <= actions) & (actions <= high)
-        if actions.dtype.kind == "f" and not isinstance(self.action_space, Box):
-            within &= actions == np.floor(actions)
-        return np.asarray(within if within.ndim == 1 else within.reshape(self.n, -1).all(1))
+        """Return which rows of actions are valid, or become valid in a wrapper inside."""
+        return self.action_rules.possible(actions) if self._taker is None else self._taker.possible(actions)
 
     def check(self, actions: Array) -> None:
         """Refuse actions that are not possible; for transforms that may not hand them on."""
-        possible = self.possible(actions) | self.resetting  # for whom it is ignored
+        possible = self.possible(actions) | self.resetting  # whose action is ignored
         if not possible.all():
             first = int(np.argmin(possible))
-            space, names = self.action_space, self._action_names()
-            raise refuse_first([f"agent_{first}"], [actions[first].tolist()], space, names)
-
-    def _refusal(self, actions: Any) -> ActionError:
-        return refusal(actions, self.action_space, self.n, names=self._action_names())
-
-    def _action_names(self) -> list[str]:
-        """Return the names of an action's fields, if it is what the environment inside all wrappers takes."""
-        spec = self.batch.innermost.spec
-        return [f.name for f in spec.action_fields] if self.action_space == spec.action_space else []
+            raise self.action_rules.refusal_of([f"agent_{first}"], [actions[first].tolist()])
 
     def results(self, step: BatchStep) -> BatchStep:
         """Return the results of a step with the change."""
@@ -163,41 +163,41 @@ class Transform:
         if self.batch.slot_autoreset_mode is AutoresetMode.NEXT_STEP:
             began = np.flatnonzero(self.resetting)
             self.resetting[:] = step.ended
-            obs = final_obs = self._shown_next_step(step.obs, began)
+            obs = final_obs = self._next_step_observations(step.obs, began)
         else:
             began = np.flatnonzero(self.world.begins(step))
-            obs, final_obs = self._shown_same_step(step, began)
-            obs = self._without_the_dead(obs)
+            obs, final_obs = self._same_step_observations(step, began)
+            obs = self._outside_episodes_zero(obs)
         if began.size:
             self.episode_began(began)
         return self.carried(step, obs, rewards, step.terminations, step.truncations, final_obs)
 
     def carried(self, step: BatchStep, *arrays: Array) -> BatchStep:
-        """Return results in place of a step's, with the masks and who is alive as they are now."""
+        """Return results in place of a step's, with ``action_masks`` and ``in_episode`` as they are now."""
         if len(step.arrays) == len(arrays):
             return BatchStep(*arrays)
         masks = self.action_masks
-        alive = (self.batch.alive,) if self.world.agents > 1 else ()
-        return BatchStep.of((*arrays, *(() if masks is None else (masks,)), *alive), masks is not None)
+        in_episode = (self.batch.in_episode,) if self.world.agents > 1 else ()
+        return BatchStep.of((*arrays, *(() if masks is None else (masks,)), *in_episode), masks is not None)
 
-    def _without_the_dead(self, obs: Array) -> Array:
-        """Return observations in which the dead see zeros."""
-        if self.world.agents == 1 or (dead := ~self.batch.alive).sum() == 0:
+    def _outside_episodes_zero(self, obs: Array) -> Array:
+        """Return observations that are zeros where an agent has ended before its world."""
+        if self.world.agents == 1 or (over := ~self.batch.in_episode).sum() == 0:
             return obs
         obs = self.new.copy(obs)
-        obs[dead] = 0
+        obs[over] = 0
         return obs
 
-    def _shown_next_step(self, obs: Array, began: Slots) -> Array:
-        """Return what to show of a step in which some slots did nothing but begin."""
+    def _next_step_observations(self, obs: Array, began: Rows) -> Array:
+        """Return the observations of a step in which some rows did nothing but begin."""
         if not self.keeps_history:
             return self.observe(obs)
         self.push(obs)
         self.begin(obs, began)
         return self.show()
 
-    def _shown_same_step(self, step: BatchStep, began: Slots) -> tuple[Array, Array]:
-        """Return what to show of a step that some slots ended and began in, and of where they ended."""
+    def _same_step_observations(self, step: BatchStep, began: Rows) -> tuple[Array, Array]:
+        """Return the observations of a step in which some rows ended and began, and the final ones."""
         if not self.keeps_history:
             obs = self.observe(step.obs)
             return obs, self.observe(self.ends(step)) if step.ended.any() else obs
@@ -211,12 +211,12 @@ class Transform:
         return obs, final_obs
 
     def arrivals(self, step: BatchStep) -> Array:
-        """Return where a step took every slot: see :meth:`BatchStep.arrivals`."""
-        slots = np.flatnonzero(step.ended)
-        if not slots.size:
+        """Return where a step took every agent: see :meth:`BatchStep.arrivals`."""
+        rows = np.flatnonzero(step.ended)
+        if not rows.size:
             return step.obs
         obs = self.new.copy(step.obs)
-        obs[slots] = step.final_obs.take(slots, 0)
+        obs[rows] = step.final_obs.take(rows, 0)
         return obs
 
     def ends(self, step: BatchStep) -> Array:
@@ -239,19 +239,19 @@ class Transform:
         """Remember the observations of a step."""
         raise NotImplementedError
 
-    def begin(self, obs: Array, slots: Slots) -> None:
-        """Remember the first observations of episodes, ``obs[slots]``, and nothing from before them."""
+    def begin(self, obs: Array, rows: Rows) -> None:
+        """Remember the first observations of episodes, ``obs[rows]``, and nothing from before them."""
         raise NotImplementedError
 
-    def show(self, slots: Slots | None = None) -> Array:
-        """Return what to show the slots (all, if ``None``) of what is remembered, in an array of its own."""
+    def show(self, rows: Rows | None = None) -> Array:
+        """Return the observations of some rows (all, if ``None``) by what is remembered, in a new array."""
         raise NotImplementedError
 
-    def episode_began(self, slots: Slots) -> None:
-        """Forget what else belongs to these slots' last episodes."""
+    def episode_began(self, rows: Rows) -> None:
+        """Forget what else belongs to these rows' last episodes."""
 
     def draws(self, index: int = 0) -> npt.NDArray[np.uint32]:
-        """Return a random ``u32`` a slot for this step; depends on seed, slot, step and wrapper only.
+        """Return a random ``u32`` an agent for this step; depends on seed, row, step and wrapper only.
 
         ``index``, below 256, tells apart what is drawn for different purposes.
         """
@@ -287,4 +287,4 @@ class Transform:
 
     def restored(self, obs: Array) -> Array:
         """Return what to show after :meth:`restore`, where the batch shows ``obs``."""
-        return self._without_the_dead(self.show() if self.keeps_history else self.observe(obs))
+        return self._outside_episodes_zero(self.show() if self.keeps_history else self.observe(obs))

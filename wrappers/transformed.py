@@ -29,8 +29,7 @@ class TransformedBatch(Batch):
         super().__init__(
             batch.batch_size,
             transform.observation_space,
-            transform.action_space,
-            transform.action_kinds,
+            transform.action_rules,
             batch.autoreset,
             batch.slot_autoreset_mode,
             transform.world,
@@ -42,14 +41,14 @@ class TransformedBatch(Batch):
         return self.batch.innermost
 
     @property
-    def live(self) -> Mask:
+    def present(self) -> Mask:
         """Which agents are there: the transform says."""
-        return self.transform.live
+        return self.transform.present
 
     @property
-    def alive(self) -> Mask:
+    def in_episode(self) -> Mask:
         """See :class:`Batch`."""
-        return self.batch.alive
+        return self.batch.in_episode
 
     @property
     def action_masks(self) -> Array | None:
@@ -68,8 +67,8 @@ class TransformedBatch(Batch):
         return self.transform.reset(obs, seed, None if mask is None else np.asarray(mask))
 
     @uninterrupted
-    def step_slots(self, actions: npt.ArrayLike) -> BatchStep:
-        """See :meth:`Batch.step_slots`."""
+    def step_rows(self, actions: npt.ArrayLike) -> BatchStep:
+        """See :meth:`Batch.step_rows`."""
         if not self.batch.ready:
             self.batch.step_batch(actions)  # says why that is impossible
         return self.transform.step(actions)

@@ -1,4 +1,4 @@
-"""Worlds that stay where they ended until somebody resets them, as TorchRL wants its environments."""
+"""Worlds that stay where they ended until they are reset, as TorchRL wants its environments."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ from pearl_marl.interfaces.parallel import PearlParallelEnv
 from pearl_marl.interfaces.world import Mask
 
 
-class Shown(NamedTuple):
-    """What a reset or a step shows of ``n`` worlds of ``K`` agents."""
+class WorldsStep(NamedTuple):
+    """What a reset or a step returns of ``n`` worlds of ``K`` agents."""
 
     obs: Array
     """Shape ``(n, K, ...)``. Of an agent that ended in this step, its last."""
     masks: Mask | None
     """Which actions may be taken, ``bool`` of shape ``(n, K, n_actions)``; ``None`` where there are no masks.
-    Who has no choice, being over or not on turn, may take action 0, which is ignored."""
+    An agent without a choice, as its episode is over or it is not on turn, may take action 0: it is ignored.
+    """
     rewards: Array
     """``float32``, shape ``(n, K)``."""
     terminated: Mask
     truncated: Mask
-    """Of each agent, shape ``(n, K)``; both may be set. Who ended before its world is terminated until the
-    world is reset."""
+    """Of each agent, shape ``(n, K)``; both may be set. An agent that ended before its world is terminated
+    until the world is reset."""
     world_terminated: Mask
     world_truncated: Mask
     """Of each world, shape ``(n,)``: all its agents have terminated; its time limit is reached."""
@@ -38,7 +39,7 @@ class WaitingWorlds:
 
     They go through the same episodes as the environment does by itself.
 
-    A world that the device truncates begins again in the same step, and then nobody can tell any more what
+    A world that the device truncates begins again in the same step, and then it is too late to tell what
     its state was and which actions were possible, which learners ask for. So the time limit is kept here. A
     world that terminates begins again by itself all the same: after such an end there is nothing to ask.
 
@@ -59,14 +60,14 @@ class WaitingWorlds:
         self._obs: Array | None = None
 
     @uninterrupted
-    def reset(self, seed: int | None = None) -> Shown:
+    def reset(self, seed: int | None = None) -> WorldsStep:
         """Begin an episode in every world."""
         self._obs = self.env.reset_batch(seed)
         self._elapsed[:] = 0
         return self._first()
 
     @uninterrupted
-    def reset_some(self, worlds: Mask) -> Shown:
+    def reset_some(self, worlds: Mask) -> WorldsStep:
         """Begin an episode in some worlds, by a ``bool`` for each; show all of them."""
         # Those that terminated have begun already.
         begin = worlds & (self._elapsed > 0)
@@ -76,24 +77,24 @@ class WaitingWorlds:
         return self._first()
 
     @uninterrupted
-    def step(self, actions: npt.ArrayLike) -> Shown:
+    def step(self, actions: npt.ArrayLike) -> WorldsStep:
         """Step every world once, by actions that have a row an agent. Raises what ``step_batch`` does."""
         env, world = self.env, self.env.batch.world
-        acting = env.alive
+        acting = env.in_episode
         step = env.step_batch(actions)
         began = world.begins(step)[:: self.k]
         self._elapsed += 1
         late = self._elapsed >= self.max_cycles if self.max_cycles else np.zeros(self.n, np.bool_)
         self._elapsed[began] = 0
         self._obs, self._terminated = step.obs, began
-        # Where a world began, masks and whoever was dead show the next episode.
+        # Where a world began, masks and rows of agents that had ended before show the next episode.
         obs, masks = step.arrivals(), self._masks(world.rows(began))
         terminated, truncated = step.terminations, world.rows(late)
         if not acting.all():
             terminated, truncated = terminated | ~acting, truncated & acting
             if began.any():  # and then these are a copy
                 obs[world.rows(began) & ~acting] = 0
-        return self._shown(obs, masks, step.rewards, (terminated, truncated), (began, late))
+        return self._by_worlds(obs, masks, step.rewards, (terminated, truncated), (began, late))
 
     def state(self) -> Array:
         """Return ``env.state()`` as ``float32``, shape ``(n, fields)``; zeros where a step terminated."""
@@ -103,21 +104,21 @@ class WaitingWorlds:
 
     @property
     def action_masks(self) -> Mask | None:
-        """Which actions may be taken in the next step, as in :class:`Shown`."""
+        """Which actions may be taken in the next step, as in :class:`WorldsStep`."""
         masks = self._masks(np.zeros(self.n * self.k, np.bool_))
         return None if masks is None else self._by_world(masks)
 
-    def _first(self) -> Shown:
+    def _first(self) -> WorldsStep:
         """Return what is seen after a reset."""
         assert self._obs is not None
         self._terminated = np.zeros(self.n, np.bool_)
-        nobody = np.zeros(self.n * self.k, np.bool_)
+        none = np.zeros(self.n * self.k, np.bool_)
         rewards = np.zeros(self.n * self.k, np.float32)
-        agents, worlds = (~self.env.alive, nobody), (self._terminated, self._terminated)
-        return self._shown(self._obs, self._masks(nobody), rewards, agents, worlds)
+        agents, worlds = (~self.env.in_episode, none), (self._terminated, self._terminated)
+        return self._by_worlds(self._obs, self._masks(none), rewards, agents, worlds)
 
     def _masks(self, over: Mask) -> Mask | None:
-        """Return the masks of all agents; of who is ``over`` or has no choice, of action 0 alone."""
+        """Return the masks of all agents: action 0 alone for those that are ``over`` or have no choice."""
         masks = self.env.action_masks
         if masks is None:
             return None
@@ -128,19 +129,19 @@ class WaitingWorlds:
         allowed[idle, 0] = True
         return allowed
 
-    def _shown(
+    def _by_worlds(
         self,
         obs: Array,
         masks: Mask | None,
         rewards: Array,
         agents: tuple[Mask, Mask],
         worlds: tuple[Mask, Mask],
-    ) -> Shown:
+    ) -> WorldsStep:
         """Return all by world; ``agents`` and ``worlds`` have terminated, and are truncated."""
         by_world = self._by_world
         terminated, truncated = map(by_world, agents)
         allowed = None if masks is None else by_world(masks)
-        return Shown(by_world(obs), allowed, by_world(rewards), terminated, truncated, *worlds)
+        return WorldsStep(by_world(obs), allowed, by_world(rewards), terminated, truncated, *worlds)
 
     def _by_world(self, rows: Array) -> Array:
         return rows.reshape(self.n, self.k, *rows.shape[1:])

@@ -7,7 +7,7 @@ from typing import Any
 from gymnasium import Env
 from gymnasium.spaces import Discrete, Tuple
 
-from pearl_marl.errors import ArgumentError
+from pearl_marl.checks import checked_flag
 from pearl_marl.spec import EnvSpec, Golden
 
 from .step import State, View, initial, make_step, observe
@@ -34,9 +34,8 @@ def configure(natural: bool = False, sab: bool = True) -> EnvSpec:
     sab
         Whether to play by Sutton and Barto: a natural wins unless the dealer has one, too.
     """
-    for name, flag in (("natural", natural), ("sab", sab)):
-        if not isinstance(flag, bool):
-            raise ArgumentError(f"{name} is {flag!r}; it must be True or False")
+    checked_flag("natural", natural)
+    checked_flag("sab", sab)
     return EnvSpec(
         name="Blackjack",
         version=0,

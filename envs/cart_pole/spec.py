@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import Env
 from gymnasium.spaces import Box, Discrete
 
-from pearl_marl.errors import ArgumentError
+from pearl_marl.checks import checked_flag
 from pearl_marl.spec import EnvSpec, Golden
 
 from .step import State, initial, make_step, observe
@@ -31,8 +31,7 @@ def configure(sutton_barto_reward: bool = False) -> EnvSpec:
     sutton_barto_reward
         Whether the reward is 0 a step and -1 for the step that ends the episode, instead of 1 a step.
     """
-    if not isinstance(sutton_barto_reward, bool):
-        raise ArgumentError(f"sutton_barto_reward is {sutton_barto_reward!r}; it must be True or False")
+    checked_flag("sutton_barto_reward", sutton_barto_reward)
     return EnvSpec(
         name="CartPole",
         version=0,

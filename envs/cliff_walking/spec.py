@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import Env
 from gymnasium.spaces import Discrete
 
-from pearl_marl.errors import ArgumentError
+from pearl_marl.checks import checked_flag
 from pearl_marl.spec import EnvSpec, Golden, Grid
 
 from .step import State, initial, observe, step, step_slippery
@@ -30,8 +30,7 @@ def configure(is_slippery: bool = False) -> EnvSpec:
     is_slippery
         Whether an action is turned left or right, with probability 1/3 each.
     """
-    if not isinstance(is_slippery, bool):
-        raise ArgumentError(f"is_slippery is {is_slippery!r}; it must be True or False")
+    checked_flag("is_slippery", is_slippery)
     return EnvSpec(
         name="CliffWalking",
         version=0,

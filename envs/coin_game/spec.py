@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
+from pearl_marl.checks import checked_flag, checked_integer, is_number
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Golden, Grid, is_number
+from pearl_marl.spec import EnvSpec, Golden, Grid
 
 from .picture import draw
 from .step import SIZE, Around, Place, View, make_initial, make_observe, make_step, rewards, state_of
@@ -18,7 +19,7 @@ from .step import SIZE, Around, Place, View, make_initial, make_observe, make_st
 CHANNELS = 4
 CELLS = SIZE * SIZE
 PAYOFF = ((1.0, 1.0, -2.0), (1.0, 1.0, -2.0))
-STEPS = 1, 1 << 16
+MOST_STEPS = (1 << 16) - 1
 
 
 def mark(row: Any, place: Place, channel: int) -> None:
@@ -69,11 +70,10 @@ def configure(
         A row for the red player and one for the blue: what he gets for a red coin, for a blue coin, and
         when the other takes a coin of his colour.
     """
-    inner = _integer("num_inner_steps", num_inner_steps)
-    outer = _integer("num_outer_steps", num_outer_steps)
+    inner = checked_integer("num_inner_steps", num_inner_steps, 1, MOST_STEPS)
+    outer = checked_integer("num_outer_steps", num_outer_steps, 1, MOST_STEPS)
     for name, flag in (("cnn", cnn), ("egocentric", egocentric), ("shared_rewards", shared_rewards)):
-        if not isinstance(flag, bool):
-            raise ArgumentError(f"{name} is {flag!r}; it must be True or False")
+        checked_flag(name, flag)
     payoff = _payoff(payoff_matrix)
     # What red gets for red coins, blue gets for blue ones.
     alike = payoff[0] == [payoff[1][1], payoff[1][0], payoff[1][2]]
@@ -116,14 +116,6 @@ def _cell(observations: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return the number of the cell that a player is in."""
     cells: npt.NDArray[Any] = observations.reshape(-1, CELLS, CHANNELS)[:, :, 0].argmax(1)
     return cells
-
-
-def _integer(name: str, value: object) -> int:
-    """Return a number of steps or games."""
-    number = not isinstance(value, bool) and isinstance(value, (int, np.integer))
-    if not number or not STEPS[0] <= value < STEPS[1]:  # type: ignore[operator]
-        raise ArgumentError(f"{name} is {value!r}; it must be an integer from {STEPS[0]} to {STEPS[1] - 1}")
-    return int(value)  # type: ignore[call-overload, no-any-return]
 
 
 def _payoff(matrix: object) -> list[list[float]]:

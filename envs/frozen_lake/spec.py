@@ -9,8 +9,9 @@ import numpy as np
 from gymnasium import Env
 from gymnasium.spaces import Discrete
 
+from pearl_marl.checks import checked_choice, checked_flag, checked_number, is_number
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Field, Golden, Grid, is_number
+from pearl_marl.spec import EnvSpec, Field, Golden, Grid
 
 from .step import SIDE, State, make_initial, make_observe, make_step
 
@@ -28,6 +29,11 @@ MAPS = {
     ),
 }
 """Gymnasium's, by ``map_name``."""
+
+OWN_MAP = (
+    "; or give a map of your own as desc "
+    "(gymnasium.envs.toy_text.frozen_lake.generate_random_map makes random ones)"
+)
 
 
 def configure(
@@ -54,19 +60,9 @@ def configure(
     reward_schedule
         The rewards for reaching a goal, a hole and anything else.
     """
-    if desc is not None:
-        lake = _checked(desc)
-    elif isinstance(map_name, str) and map_name in MAPS:
-        lake = MAPS[map_name]
-    else:
-        raise ArgumentError(
-            f"map_name is {map_name!r}; it must be {' or '.join(map(repr, MAPS))}, or give a map of your own "
-            "as desc (gymnasium.envs.toy_text.frozen_lake.generate_random_map makes random ones)"
-        )
-    if not isinstance(is_slippery, bool):
-        raise ArgumentError(f"is_slippery is {is_slippery!r}; it must be True or False")
-    if not is_number(success_rate) or not 0 <= success_rate <= 1:
-        raise ArgumentError(f"success_rate is {success_rate!r}; it must be a probability, 0 to 1")
+    lake = _map(desc) if desc is not None else MAPS[checked_choice("map_name", map_name, MAPS, OWN_MAP)]
+    checked_flag("is_slippery", is_slippery)
+    success_rate = checked_number("success_rate", success_rate, 0, 1)
     if (
         isinstance(reward_schedule, str)
         or not isinstance(reward_schedule, (Sequence, np.ndarray))
@@ -98,7 +94,7 @@ def configure(
             "desc": None if desc is None else list(lake),
             "map_name": map_name,
             "is_slippery": is_slippery,
-            "success_rate": float(success_rate),
+            "success_rate": success_rate,
             "reward_schedule": list(map(float, reward_schedule)),
         },
         configure=configure,
@@ -115,7 +111,7 @@ def pose(oracle: Env[Any, Any], state: State) -> None:
     oracle.lastaction = None  # type: ignore[attr-defined]
 
 
-def _checked(desc: Sequence[str]) -> tuple[str, ...]:
+def _map(desc: Sequence[str]) -> tuple[str, ...]:
     """Return a map of the user's, or say what is wrong with it."""
     if isinstance(desc, str) or not isinstance(desc, Sequence) or not all(isinstance(r, str) for r in desc):
         raise ArgumentError(f"desc is {desc!r}; it must be a list of strings, a row each")

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
+from pearl_marl.checks import checked_flag, checked_integer, checked_number
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Grid, is_number
+from pearl_marl.spec import EnvSpec, Grid
 
 from .picture import make_draw
 from .step import LOADED, Rules, make_golden, rewards
@@ -77,14 +78,12 @@ def configure(
         )
     flags = ("force_coop", force_coop), ("normalize_reward", normalize_reward)
     for name, flag in (*flags, ("observe_agent_levels", observe_agent_levels)):
-        if not isinstance(flag, bool):
-            raise ArgumentError(f"{name} is {flag!r}; it must be True or False")
-    if not is_number(penalty):
-        raise ArgumentError(f"penalty is {penalty!r}; it must be a finite number")
-    players = _integer("players", players, PLAYERS)
-    max_num_food = _integer("max_num_food", max_num_food, FOODS)
-    max_episode_steps = _integer("max_episode_steps", max_episode_steps, (1, (1 << 32) - 1))
-    sight = None if sight is None else _integer("sight", sight, (1, 1 << 16))
+        checked_flag(name, flag)
+    penalty = checked_number("penalty", penalty)
+    players = checked_integer("players", players, *PLAYERS)
+    max_num_food = checked_integer("max_num_food", max_num_food, *FOODS)
+    max_episode_steps = checked_integer("max_episode_steps", max_episode_steps, 1, (1 << 32) - 1)
+    sight = None if sight is None else checked_integer("sight", sight, 1, 1 << 16)
     size = _size(field_size)
     least_food = _levels("min_food_level", min_food_level, max_num_food)
     most_food = None if max_food_level is None else _levels("max_food_level", max_food_level, max_num_food)
@@ -107,7 +106,7 @@ def configure(
         name="LevelBasedForaging",
         version=0,
         summary="Walk on a grid and pick up food, much of it only together",
-        rewards=rewards(rules, float(penalty)),
+        rewards=rewards(rules, penalty),
         observation_space=observation_space(rules),
         action_space=Discrete(6),
         golden=golden,
@@ -127,7 +126,7 @@ def configure(
             "normalize_reward": normalize_reward,
             "grid_observation": False,
             "observe_agent_levels": observe_agent_levels,
-            "penalty": float(penalty),
+            "penalty": penalty,
         },
         configure=configure,
         draw=make_draw(size),
@@ -157,14 +156,6 @@ def grid(rules: Rules) -> Grid:
     return Grid(rules.size, rules.size, cell)
 
 
-def _integer(name: str, value: object, limits: tuple[int, int]) -> int:
-    """Return a number that is within its limits."""
-    number = not isinstance(value, bool) and isinstance(value, (int, np.integer))
-    if not number or not limits[0] <= value <= limits[1]:  # type: ignore[operator]
-        raise ArgumentError(f"{name} is {value!r}; it must be an integer from {limits[0]} to {limits[1]}")
-    return int(value)  # type: ignore[call-overload, no-any-return]
-
-
 def _size(field_size: object) -> int:
     """Return how many rows and columns there are."""
     sides = list(field_size) if isinstance(field_size, (Sequence, np.ndarray)) else []
@@ -173,16 +164,16 @@ def _size(field_size: object) -> int:
             f"field_size is {field_size!r}; it must be two equal numbers, as lbforaging's own observations "
             "leave their space on any other grid"
         )
-    return _integer("field_size", sides[0], SIZES)
+    return checked_integer("field_size", sides[0], *SIZES)
 
 
 def _levels(name: str, value: Levels, count: int) -> tuple[int, ...]:
     """Return the levels of all players or foods."""
     if not isinstance(value, (Sequence, np.ndarray)):
-        return (_integer(name, value, LEVELS),) * count
+        return (checked_integer(name, value, *LEVELS),) * count
     if len(value) != count:
         raise ArgumentError(f"{name} is {value!r}; it must be one integer or a list of {count}")
-    return tuple(_integer(f"{name}[{k}]", level, LEVELS) for k, level in enumerate(value))
+    return tuple(checked_integer(f"{name}[{k}]", level, *LEVELS) for k, level in enumerate(value))
 
 
 def _ranges(of: str, least: Sequence[int], most: Sequence[T]) -> tuple[tuple[int, T], ...]:

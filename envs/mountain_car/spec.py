@@ -8,8 +8,8 @@ import numpy as np
 from gymnasium import Env
 from gymnasium.spaces import Box, Discrete
 
-from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Golden, is_number
+from pearl_marl.checks import checked_number
+from pearl_marl.spec import EnvSpec, Golden
 
 from .step import State, goal_word, initial, make_step, observe
 
@@ -30,8 +30,7 @@ def configure(goal_velocity: float = 0) -> EnvSpec:
         The least velocity, per step, with which the goal counts as reached, -1 to 1. The car
         never exceeds 0.07.
     """
-    if not is_number(goal_velocity) or not -1 <= goal_velocity <= 1:
-        raise ArgumentError(f"goal_velocity is {goal_velocity!r}; it must be a number from -1 to 1")
+    goal_velocity = checked_number("goal_velocity", goal_velocity, -1, 1)
     return EnvSpec(
         name="MountainCar",
         version=0,
@@ -39,9 +38,9 @@ def configure(goal_velocity: float = 0) -> EnvSpec:
         rewards=(-1.0,),
         observation_space=Box(LOW, HIGH, dtype=np.float32),
         action_space=Discrete(3),
-        golden=Golden(State, initial, make_step(goal_word(float(goal_velocity))), observe, view=State),
+        golden=Golden(State, initial, make_step(goal_word(goal_velocity)), observe, view=State),
         max_cycles=200,
-        options={"goal_velocity": float(goal_velocity)},
+        options={"goal_velocity": goal_velocity},
         configure=configure,
         oracle="MountainCar-v0",
         pose=pose,

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
+from pearl_marl.checks import checked_choice, checked_integer, checked_number
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Golden, Grid, is_number
+from pearl_marl.spec import EnvSpec, Golden, Grid
 
 from .kitchen import LAYOUTS, MOST
 from .layers import COUNT, OWN_PLACE, make_unpack
@@ -45,18 +46,16 @@ def configure(
         The shaped rewards, by the package's names: for an ingredient put into a pot, for a useful dish taken
         and for a soup taken from its pot. Those left out are 3, 3 and 5.
     """
-    if not isinstance(layout, str) or layout not in LAYOUTS:
-        raise ArgumentError(f"layout is {layout!r}; it must be one of {', '.join(LAYOUTS)}")
-    horizon = _integer("horizon", horizon, HORIZONS)
-    factor = _number("reward_shaping_factor", reward_shaping_factor)
+    kitchen = LAYOUTS[checked_choice("layout", layout, LAYOUTS)]
+    horizon = checked_integer("horizon", horizon, *HORIZONS)
+    factor = checked_number("reward_shaping_factor", reward_shaping_factor)
     shaping = _shaping(rew_shaping_params)
-    kitchen = LAYOUTS[layout]
     if cook_time is not None:
         if kitchen.recipes or kitchen.ingredients:
             raise ArgumentError(
                 f"cook_time is {cook_time!r}, and {layout} has cooking times of its own; leave it out"
             )
-        kitchen = kitchen.cooking(_integer("cook_time", cook_time, COOK_TIMES))
+        kitchen = kitchen.cooking(checked_integer("cook_time", cook_time, *COOK_TIMES))
     table = rewards(kitchen, tuple(factor * shaping[name] for name in SHAPING))
     state, view = make_classes(kitchen, horizon)
     shape = kitchen.width, kitchen.height, COUNT
@@ -99,21 +98,6 @@ def _cell(observations: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return cells
 
 
-def _integer(name: str, value: object, limits: tuple[int, int]) -> int:
-    """Return a number that is within its limits."""
-    number = not isinstance(value, bool) and isinstance(value, (int, np.integer))
-    if not number or not limits[0] <= value <= limits[1]:  # type: ignore[operator]
-        raise ArgumentError(f"{name} is {value!r}; it must be an integer from {limits[0]} to {limits[1]}")
-    return int(value)  # type: ignore[call-overload, no-any-return]
-
-
-def _number(name: str, value: object) -> float:
-    """Return a finite number."""
-    if not is_number(value):
-        raise ArgumentError(f"{name} is {value!r}; it must be a finite number")
-    return float(value)
-
-
 def _shaping(given: Mapping[str, float] | None) -> dict[str, float]:
     """Return all shaped rewards."""
     known = ", ".join(SHAPING)
@@ -126,7 +110,7 @@ def _shaping(given: Mapping[str, float] | None) -> dict[str, float]:
                 f"rew_shaping_params has {name!r}; possible are {known}, and overcooked-ai 1.1.0 itself uses "
                 "no other"
             )
-        result[name] = _number(f"rew_shaping_params[{name!r}]", value)
+        result[name] = checked_number(f"rew_shaping_params[{name!r}]", value)
     return result
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from gymnasium import Env
 from gymnasium.spaces import Box
 
-from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Field, Golden, is_number
+from pearl_marl.checks import checked_number
+from pearl_marl.spec import EnvSpec, Field, Golden
 
 from .step import REWARD_FRACTION, TORQUE_FRACTION, State, View, fall, initial, make_step, observe
 
@@ -33,8 +33,7 @@ def configure(g: float = 10.0) -> EnvSpec:
     g
         Gravity in m/s**2, -200 to 200.
     """
-    if not is_number(g) or not -MAX_GRAVITY <= g <= MAX_GRAVITY:
-        raise ArgumentError(f"g is {g!r}; it must be a number from -{MAX_GRAVITY} to {MAX_GRAVITY}")
+    g = checked_number("g", g, -MAX_GRAVITY, MAX_GRAVITY)
     return EnvSpec(
         name="Pendulum",
         version=0,
@@ -44,9 +43,9 @@ def configure(g: float = 10.0) -> EnvSpec:
         rewards=None,
         observation_space=Box(-HIGH, HIGH, dtype=np.float32),
         action_space=Box(-2, 2, (1,), np.float32),
-        golden=Golden(State, initial, make_step(fall(float(g))), observe, view=View),
+        golden=Golden(State, initial, make_step(fall(g)), observe, view=View),
         max_cycles=200,
-        options={"g": float(g)},
+        options={"g": g},
         configure=configure,
         oracle="Pendulum-v1",
         pose=pose,

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
-from pearl_marl.errors import ArgumentError
+from pearl_marl.checks import checked_choice, checked_integer
 from pearl_marl.layout import Layout
 from pearl_marl.spec import EnvSpec, Grid
 
@@ -57,7 +57,7 @@ def configure(
     """
     rules = rules_of(size, robots, request_queue_size, column_height, sensor_range, reward_type)
     if max_steps is not None:
-        max_steps = _integer("max_steps", max_steps, 1, MOST_STEPS)
+        max_steps = checked_integer("max_steps", max_steps, 1, MOST_STEPS)
     golden, table = make_golden(rules), REWARDS[reward_type]
     assert golden.view is not None
     size_seen = len(Layout(golden.view).fields)
@@ -97,35 +97,20 @@ def rules_of(
     reward_type: str,
 ) -> Rules:
     """Return the warehouse of some options; ArgumentError says which one is not possible."""
-    for name, value, known in (("size", size, SIZES), ("reward_type", reward_type, REWARDS)):
-        if not isinstance(value, str) or value not in known:
-            raise ArgumentError(f"{name} is {value!r}; possible are {', '.join(map(repr, known))}")
-    if isinstance(robots, int) and robots > MOST:
-        raise ArgumentError(
-            f"robots is {robots}; it must be an integer from 1 to {MOST}: with more, rware breaks ties "
-            "in ways that this package does not reproduce"
-        )
+    ties = ": with more, rware breaks ties in ways that this package does not reproduce"
     rules = Rules(
-        *SIZES[size],
-        column_height=_integer("column_height", column_height, *HEIGHTS),
-        robots=_integer("robots", robots, 1, MOST),
+        *SIZES[checked_choice("size", size, SIZES)],
+        column_height=checked_integer("column_height", column_height, *HEIGHTS),
+        robots=checked_integer("robots", robots, 1, MOST, ties),
         requests=0,
-        sight=_integer("sensor_range", sensor_range, *SIGHTS),
-        reward=reward_type,
+        sight=checked_integer("sensor_range", sensor_range, *SIGHTS),
+        reward=checked_choice("reward_type", reward_type, REWARDS),
     )
     # One shelf has to be left that can be asked for next.
     requests = rules.robots if request_queue_size is None else request_queue_size
     return rules._replace(
-        requests=_integer("request_queue_size", requests, 1, min(len(rules.racks) - 1, REQUESTS))
+        requests=checked_integer("request_queue_size", requests, 1, min(len(rules.racks) - 1, REQUESTS))
     )
-
-
-def _integer(name: str, value: object, low: int, high: int) -> int:
-    """Return a number that is within its limits."""
-    number = not isinstance(value, bool) and isinstance(value, (int, np.integer))
-    if not number or not low <= value <= high:  # type: ignore[operator]
-        raise ArgumentError(f"{name} is {value!r}; it must be an integer from {low} to {high}")
-    return int(value)  # type: ignore[call-overload, no-any-return]
 
 
 def grid(rules: Rules) -> Grid:

@@ -9,10 +9,10 @@ import numpy as np
 from gymnasium import Env
 from gymnasium.spaces import Box, Discrete
 
-from pearl_marl.errors import ArgumentError
+from pearl_marl.checks import checked_flag, checked_number
 from pearl_marl.golden import Word
 from pearl_marl.layout import Layout
-from pearl_marl.spec import EnvSpec, Field, Golden, is_number
+from pearl_marl.spec import EnvSpec, Field, Golden
 
 from .step import (
     CHANCE_BITS,
@@ -149,10 +149,8 @@ def configure(sticky_action_prob: float = 0.1, difficulty_ramping: bool = True) 
     difficulty_ramping
         Whether surfacing makes enemies faster and more frequent.
     """
-    if not is_number(sticky_action_prob) or not 0 <= sticky_action_prob <= 1:
-        raise ArgumentError(f"sticky_action_prob is {sticky_action_prob!r}; it must be a number from 0 to 1")
-    if not isinstance(difficulty_ramping, bool):
-        raise ArgumentError(f"difficulty_ramping is {difficulty_ramping!r}; it must be True or False")
+    sticky_action_prob = checked_number("sticky_action_prob", sticky_action_prob, 0, 1)
+    checked_flag("difficulty_ramping", difficulty_ramping)
     sticky_below = round(sticky_action_prob * (1 << CHANCE_BITS))
     return EnvSpec(
         name="Seaquest",
@@ -164,7 +162,7 @@ def configure(sticky_action_prob: float = 0.1, difficulty_ramping: bool = True) 
         action_space=Discrete(6),
         golden=Golden(State, initial, make_step(sticky_below, difficulty_ramping), observe, view=View),
         unpack=unpack,
-        options={"sticky_action_prob": float(sticky_action_prob), "difficulty_ramping": difficulty_ramping},
+        options={"sticky_action_prob": sticky_action_prob, "difficulty_ramping": difficulty_ramping},
         configure=configure,
         oracle="pearl_marl.envs.seaquest.oracle:MinAtar/Seaquest-v1",
         follows="MinAtar Seaquest-v1",

@@ -8,8 +8,8 @@ import numpy.typing as npt
 from gymnasium import Env
 from gymnasium.spaces import Discrete
 
-from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Golden, Grid, is_number
+from pearl_marl.checks import checked_flag, checked_number
+from pearl_marl.spec import EnvSpec, Golden, Grid
 
 from .step import SIDE, State, make_initial, make_step, observe
 
@@ -47,12 +47,10 @@ def configure(
     fickle_probability
         How often a passenger does change his destination, 0 to 1.
     """
-    for name, flag in (("is_rainy", is_rainy), ("fickle_passenger", fickle_passenger)):
-        if not isinstance(flag, bool):
-            raise ArgumentError(f"{name} is {flag!r}; it must be True or False")
-    for name, share in (("rainy_probability", rainy_probability), ("fickle_probability", fickle_probability)):
-        if not is_number(share) or not 0 <= share <= 1:
-            raise ArgumentError(f"{name} is {share!r}; it must be a probability, 0 to 1")
+    checked_flag("is_rainy", is_rainy)
+    checked_flag("fickle_passenger", fickle_passenger)
+    rainy_probability = checked_number("rainy_probability", rainy_probability, 0, 1)
+    fickle_probability = checked_number("fickle_probability", fickle_probability, 0, 1)
     slips = is_rainy and rainy_probability < 1
     thresholds = _threshold(rainy_probability), _threshold((1 + rainy_probability) / 2)
     fickle_below = _threshold(fickle_probability) if fickle_passenger and fickle_probability else 0
@@ -70,8 +68,8 @@ def configure(
         options={
             "is_rainy": is_rainy,
             "fickle_passenger": fickle_passenger,
-            "rainy_probability": float(rainy_probability),
-            "fickle_probability": float(fickle_probability),
+            "rainy_probability": rainy_probability,
+            "fickle_probability": fickle_probability,
         },
         configure=configure,
         oracle="Taxi-v4",

@@ -1,20 +1,152 @@
-"""Checking a batch of actions, and narrowing it to the device's width, in one pass."""
+"""Which actions may be taken, decided here and nowhere else; and drawing random ones.
+
+:class:`ActionRules` answers for a batch: for a device, which narrows actions to its words as they are
+checked; for a batch some of whose agents have left; for a wrapper with a space of its own; and for one agent.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
+from pearl_marl.batch.step import on_host
 from pearl_marl.elements import ActionSpace, bounds
 from pearl_marl.errors import ActionError
 from pearl_marl.golden import uniform_below
 from pearl_marl.machine_code import compiled
 from pearl_marl.spec import EnvSpec
+
+
+class ActionRules:
+    """Which actions the agents of a batch may take.
+
+    Parameters
+    ----------
+    space, n
+        One agent's action space (of roles, the widest), and how many agents there are.
+    names
+        The names of an action's fields, for messages.
+    first_agent
+        The number of the first agent, likewise.
+    kinds
+        The kinds of dtype that arrays of actions may have; by default those of the space.
+    """
+
+    def __init__(
+        self,
+        space: ActionSpace,
+        n: int,
+        names: Sequence[str] = (),
+        first_agent: int = 0,
+        kinds: str = "",
+    ) -> None:
+        self.space, self.shape, self.n = space, space.shape or (), n
+        self.kinds = kinds or ("iuf" if isinstance(space, Box) else "iu")
+        self._names, self._first = names, first_agent
+        self._least = int(space.start) if isinstance(space, Discrete) else bounds(space)[0]
+
+    @classmethod
+    def of(cls, spec: EnvSpec, space: ActionSpace, n: int, first_slot: int = 0) -> ActionRules:
+        """Return the rules of ``n`` agents of an environment; ``space`` is its action space, or a copy."""
+        return cls(space, n, [field.name for field in spec.action_fields], first_slot * spec.agents)
+
+    def are_actions(self, array: npt.NDArray[Any], count: int) -> bool:
+        """Return whether an array has the shape and kind of dtype of so many actions."""
+        return array.shape == (count, *self.shape) and array.dtype.kind in self.kinds
+
+    def array(self, actions: Sequence[Any]) -> npt.NDArray[Any] | None:
+        """Return an array of as many actions, one after the other; ``None`` where they do not make one."""
+        try:
+            array = np.array(actions)
+        except ValueError:  # some are sequences of other lengths
+            return None
+        return array if self.are_actions(array, len(actions)) else None
+
+    def possible(self, actions: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+        """Return which rows of an array of actions are in the action space, ``bool`` of shape ``(n,)``."""
+        low, high = bounds(self.space)
+        within: Any = (low <= actions) & (actions <= high)
+        if actions.dtype.kind == "f" and not isinstance(self.space, Box):
+            within &= actions == np.floor(actions)
+        return np.asarray(within if within.ndim == 1 else within.reshape(self.n, -1).all(1))
+
+    def with_idle(self, actions: Any, ignored: npt.NDArray[np.bool_], masks: Any = None) -> Any:
+        """Return actions with possible ones where an agent's own is ignored, whatever that is.
+
+        ``ignored`` has an element an action. Where ``masks`` are given, with a row an action, the first that
+        they allow stands in. What has not as many actions is returned as it is, to be refused.
+        """
+        on_cpu = actions.cpu() if hasattr(actions, "cpu") else actions
+        try:
+            array = np.asarray(on_cpu)
+        except (TypeError, ValueError):  # some are sequences of other lengths
+            array = None
+        idle: Any = self._least if masks is None else on_host(masks).argmax(1)
+        if array is not None and self.are_actions(array, len(ignored)):
+            if masks is not None:
+                idle = idle.astype(array.dtype)
+            return np.where(ignored.reshape(-1, *(1,) * len(self.shape)), idle, array)
+        if isinstance(on_cpu, np.ndarray):
+            fits = on_cpu.shape == (len(ignored), *self.shape)
+        else:
+            fits = isinstance(on_cpu, (list, tuple)) and len(on_cpu) == len(ignored)
+        if not fits:
+            return actions
+        values = list(on_cpu)
+        for row in np.flatnonzero(ignored).tolist():
+            values[row] = idle if masks is None else idle[row]
+        return values
+
+    def check_one(
+        self, row: int, action: Any, space: ActionSpace, masks: npt.NDArray[np.int8] | None = None
+    ) -> None:
+        """Refuse an action that the agent of a row may not take.
+
+        ``space`` is its role's; ``masks`` are those of all agents, where masked actions are refused.
+        """
+        if why_not(action, space):
+            raise self.refusal_of([f"agent_{self._first + row}"], [action], space)
+        if masks is not None:
+            refuse_masked(np.array([action]), masks[row : row + 1], self._first + row)
+
+    def refusal(self, actions: Any) -> ActionError:
+        """Return the error for a batch of actions that are not all possible."""
+        n, whole = self.n, (self.n, *self.shape)
+        if actions is None or isinstance(actions, (Mapping, str)):
+            what = f"a {type(actions).__name__}" if actions is not None else "None"
+            return ActionError(
+                f"actions are {what}; {n} agents take an array of shape {whole}, or a dict by agent in "
+                "step() of a parallel_env"
+            )
+        # What was given tells more than the array that NumPy made of it: [0, 1.5] becomes two floats.
+        values = actions.tolist() if isinstance(actions, np.ndarray) else actions
+        try:
+            shape = np.shape(actions)
+        except ValueError:  # a ragged list
+            shape = (len(actions),)
+        if shape != whole:
+            return ActionError(f"actions have shape {shape}; {n} agents take {whole}: {limits(self.space)}")
+        return self.refusal_of((f"agent_{self._first + i}" for i in range(n)), values)
+
+    def refusal_of(
+        self, agents: Iterable[str], actions: Iterable[Any], space: ActionSpace | None = None
+    ) -> ActionError:
+        """Return the error for actions of some agents that are not all in ``space``, by default that of all.
+
+        It names the first that is not. Where all are, their dtype is what was wrong, and the first stands for
+        it.
+        """
+        space = self.space if space is None else space
+        pairs = list(zip(agents, actions, strict=True))
+        agent, action = next((pair for pair in pairs if why_not(pair[1], space)), pairs[0])
+        why = why_not(action, space, self._names) or "is of the wrong dtype"
+        return ActionError(f"{agent}: action {action!r} {why}; {limits(space)}")
 
 
 def encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first_slot: int = 0) -> npt.NDArray[Any]:
@@ -39,15 +171,18 @@ def encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first_slot: in
         Names the first agent whose action is not in the action space, the action and, where there are
         several, the field.
     """
-    first = first_slot * spec.agents
-    words = _encode(actions, spec, target, first)
+    words = _encode(actions, spec, target)
+    rules = partial(ActionRules.of, spec, spec.action_space, len(target), first_slot)
+    if words is None:
+        raise rules().refusal(actions)
     if spec.roles and isinstance(spec.action_space, Discrete):
         spaces = [role.action_space for role in spec.roles]
         most = np.array([space.n for space in spaces])  # type: ignore[union-attr]  # as the spec's is
         beyond = np.flatnonzero((words.reshape(-1, spec.agents) >= most).ravel())
         if beyond.size:
             i = int(beyond[0])
-            raise refuse_first([f"agent_{first + i}"], [int(words[i])], spaces[i % spec.agents])
+            agent = f"agent_{first_slot * spec.agents + i}"
+            raise rules().refusal_of([agent], [int(words[i])], spaces[i % spec.agents])
     return words
 
 
@@ -75,8 +210,8 @@ def check_words(words: npt.NDArray[Any], spec: EnvSpec, room: npt.NDArray[Any], 
     fractions = np.array([field.fraction for field in spec.action_fields])
     numbers = words.reshape(len(words), len(fractions)) * 2.0**-fractions
     space = spec.action_space
-    given = numbers if isinstance(space, Box) else words.reshape(len(words), *(space.shape or ()))
-    encode(given, spec, room, first_slot)
+    actions = numbers if isinstance(space, Box) else words.reshape(len(words), *(space.shape or ()))
+    encode(actions, spec, room, first_slot)
 
 
 def refuse_masked(
@@ -84,8 +219,8 @@ def refuse_masked(
 ) -> None:
     """Raise ActionError for the first agent, counted from ``first``, whose action is masked.
 
-    Who has masks that are all 0 may send anything. Of so many agents after each other that take turns, that
-    is all but one; so no action is masked where as many are allowed as there are such groups.
+    An agent whose masks are all 0 may send anything. Of each ``taking_turns`` agents in a row, that is all
+    but one; so no action is masked where as many are allowed as there are such groups.
     """
     if taking_turns > 1 and taking_turns * _allowed_count(words, masks) == len(words):
         return
@@ -95,26 +230,25 @@ def refuse_masked(
         raise ActionError(f"agent_{first + i}: action {words[i]} is masked; it may take {allowed}")
 
 
-def _encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first: int) -> npt.NDArray[Any]:
+def _encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any]) -> npt.NDArray[Any] | None:
+    """Do as :func:`encode` does, for agents that are all alike; ``None`` where not all are possible."""
     space = spec.action_space
     try:
         array = np.asarray(actions)
     except ValueError:  # a ragged list
-        raise _refusal(actions, spec, target, first) from None
+        return None
     if isinstance(space, Discrete) and are_words(array, target):
-        if _largest(array) >= space.n:
-            raise _refusal(actions, spec, target, first)
-        return array
+        return array if _largest(array) < space.n else None
     fits = array.shape == (len(target), *(space.shape or ()))
     if not fits or array.dtype.kind not in ("iuf" if isinstance(space, Box) else "iu"):
-        raise _refusal(actions, spec, target, first)
+        return None
     if isinstance(space, Box):
         if array.dtype not in _FLOATS or not array.flags.carray:
             array = np.array(array, np.float64 if array.dtype.itemsize > 4 else np.float32, order="C")
         ends = zip(space.low.tolist(), space.high.tolist(), spec.action_fields, strict=True)
         for numbers, words, (low, high, field) in zip(_columns(array), _columns(target), ends, strict=True):
             if not _fix(numbers, words, low, high, 2.0**field.fraction):
-                raise _refusal(actions, spec, target, first)
+                return None
         return target
     if not array.flags.behaved:  # read-only or unaligned: to Numba other types, and so another compilation
         array = array.copy()
@@ -127,38 +261,12 @@ def _encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first: int) -
     else:
         columns = zip(_columns(unsigned), _columns(target), spec.action_counts, strict=True)
         inside = all(_narrow(numbers, words) < n for numbers, words, n in columns)
-    if not inside:
-        raise _refusal(actions, spec, target, first)
-    return target
-
-
-def _refusal(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first: int) -> ActionError:
-    names = [field.name for field in spec.action_fields]
-    return refusal(actions, spec.action_space, len(target), first, names)
+    return target if inside else None
 
 
 def _columns(rows: npt.NDArray[Any]) -> Iterable[npt.NDArray[Any]]:
     """Return an array of one number a row for each number that a row has."""
     return (rows,) if rows.ndim == 1 else rows.T
-
-
-def idle_action(space: ActionSpace) -> Any:
-    """Return an action that is possible, for whom nobody has one: the least."""
-    return int(space.start) if isinstance(space, Discrete) else bounds(space)[0]
-
-
-def refuse_first(
-    agents: Iterable[str], actions: Iterable[Any], space: ActionSpace, names: Sequence[str] = ()
-) -> ActionError:
-    """Return the error for actions that are not all in ``space``; it names the first that is not.
-
-    Where all are, their dtype is what was wrong, and the first stands for it. ``names`` are those of the
-    elements of an action, where there are several.
-    """
-    pairs = list(zip(agents, actions, strict=True))
-    agent, action = next((pair for pair in pairs if why_not(pair[1], space)), pairs[0])
-    why = why_not(action, space, names) or "is of the wrong dtype"
-    return ActionError(f"{agent}: action {action!r} {why}; {limits(space)}")
 
 
 def why_not(action: Any, space: ActionSpace, names: Sequence[str] = ()) -> str:
@@ -182,33 +290,8 @@ def why_not(action: Any, space: ActionSpace, names: Sequence[str] = ()) -> str:
         return "is out of range"
     k = int(inside.argmin())  # of one dimension, or a wrapper's
     name = names[k] if len(names) == array.size else f"element {k}"
-    value, least, most = (part.ravel()[k] for part in (array, low, high))
+    value, least, most = (numbers.ravel()[k] for numbers in (array, low, high))
     return f"is out of range: {name} is {value}, and {least} to {most} is possible"
-
-
-def refusal(
-    actions: Any, space: ActionSpace, n: int, first: int = 0, names: Sequence[str] = ()
-) -> ActionError:
-    """Return the error for a batch of actions that ``n`` agents from number ``first`` on cannot take.
-
-    ``names`` are those of the fields of an action.
-    """
-    whole = (n, *(space.shape or ()))
-    if actions is None or isinstance(actions, (Mapping, str)):
-        what = f"a {type(actions).__name__}" if actions is not None else "None"
-        return ActionError(
-            f"actions are {what}; {n} agents take an array of shape {whole}, or a dict by agent in step() of "
-            "a parallel_env"
-        )
-    # What was given tells more than the array that NumPy made of it: [0, 1.5] becomes two floats.
-    values = actions.tolist() if isinstance(actions, np.ndarray) else actions
-    try:
-        shape = np.shape(actions)
-    except ValueError:  # a ragged list
-        shape = (len(actions),)
-    if shape != whole:
-        return ActionError(f"actions have shape {shape}; {n} agents take {whole}: {limits(space)}")
-    return refuse_first((f"agent_{first + i}" for i in range(n)), values, space, names)
 
 
 def random_actions(
@@ -217,7 +300,7 @@ def random_actions(
     """Return independent uniform actions for ``n`` agents, in the form that costs a step least.
 
     Each is of its agent's role, where the first is agent 0 of a world; and one of those that its mask allows,
-    where ``masks`` are given. Who has masks that are all 0 takes action 0, which does nothing.
+    where ``masks`` are given. An agent whose masks are all 0 takes action 0, which does nothing.
     """
     space = spec.action_space
     if masks is not None:

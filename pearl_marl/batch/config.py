@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.checks import checked_choice, checked_flag, checked_integer
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec, check_max_cycles, check_slots, check_spec
 
@@ -28,9 +29,7 @@ def worlds_of(spec: EnvSpec, n_agents: int | None) -> int:
         return 1
     if k == 1:
         return n_agents  # BatchConfig says what is wrong
-    if isinstance(n_agents, bool) or not isinstance(n_agents, (int, np.integer)) or n_agents < 1:
-        check_slots("the number of agents", n_agents)
-    if n_agents % k:
+    if checked_integer("the number of agents", n_agents) % k:
         low = max(n_agents // k, 1) * k
         raise ArgumentError(
             f"n_agents is {n_agents}, and a world of {spec.name} has {k} agents; {low} and {low + k} fit"
@@ -71,20 +70,15 @@ class BatchConfig:
     def __post_init__(self) -> None:
         check_spec(self.spec)
         n, first = self.n_envs, self.first_slot
-        if isinstance(first, bool) or not isinstance(first, (int, np.integer)) or first < 0:
-            raise ArgumentError(f"first_slot is {first!r}; it must be an integer of at least 0")
+        checked_integer("first_slot", first, 0)
         check_slots("the number of agents" if self.spec.agents == 1 else "the number of worlds", n, first)
         if self.autoreset_mode not in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP):
             raise ArgumentError(
                 f"a device resets in SAME_STEP or NEXT_STEP mode, not {self.autoreset_mode!r}"
             )
         check_max_cycles(self.max_cycles)
-        if not isinstance(self.initial_states, str) or self.initial_states not in ("random", "stored"):
-            raise ArgumentError(
-                f"initial_states is {self.initial_states!r}; possible are 'random' and 'stored'"
-            )
-        if not isinstance(self.copy, bool):
-            raise ArgumentError(f"copy is {self.copy!r}; it must be True or False")
+        checked_choice("initial_states", self.initial_states, ("random", "stored"))
+        checked_flag("copy", self.copy)
         # A NumPy integer would wrap around where sizes in bytes are computed from it.
         object.__setattr__(self, "n_envs", int(n))
         object.__setattr__(self, "first_slot", int(first))

@@ -1,10 +1,15 @@
-"""The arrays that a step's results are written into."""
+"""The arrays that a step's results are written into, in memory that is used again.
+
+Fresh memory for 43,008 slots costs several times the step, because the system clears every page of it. So a
+:class:`Recycler` uses memory again once nothing refers to an array in it, or to a view of one.
+"""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,10 +17,77 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.config import BatchConfig
-from pearl_marl.batch.recycling import Recycler
-from pearl_marl.batch.slot_memory import ALIGNMENT, size
+from pearl_marl.batch.slot_memory import ALIGNMENT, aligned_bytes, size
 from pearl_marl.batch.step import BatchStep
 from pearl_marl.errors import ArgumentError
+
+MAX_BLOCKS = 12
+"""How many blocks are kept. Where more results are held on to, fresh memory is taken."""
+
+Arrays = tuple[npt.NDArray[Any], ...]
+Carve = Callable[[npt.NDArray[np.uint8]], Arrays]
+
+
+class Block:
+    """One allocation and the arrays that stay in it; knows whether anybody else refers to them.
+
+    Attributes
+    ----------
+    memory
+        Its bytes, from a cache line on.
+    arrays
+        What ``carve`` made of them. To hold on to one of them is to refer to it, not only to this tuple.
+    addresses
+        Of each array, ``int64``.
+    """
+
+    def __init__(self, size: int, carve: Carve | None) -> None:
+        self.memory = aligned_bytes(size)
+        self.arrays = carve(self.memory) if carve else ()
+        self.addresses = np.array([array.ctypes.data for array in self.arrays], np.int64)
+        # NumPy lets a view of a view refer to what owns the memory, so the owner tells of all of them.
+        self._watched = [self.memory.base, *self.arrays]
+        self._unshared = list(map(sys.getrefcount, self._watched))
+
+    def shared(self) -> bool:
+        """Return whether anybody outside refers to one of the arrays, or to a view of the memory."""
+        return list(map(sys.getrefcount, self._watched)) != self._unshared
+
+
+class Recycler:
+    """Makes arrays that are the user's to keep, out of memory that is no longer in use.
+
+    ``carve`` makes of a new block's bytes the arrays that are to stay in it, if any are. Copies and pickles
+    are empty: no two of them ever hand out the same memory.
+    """
+
+    def __init__(self, carve: Carve | None = None) -> None:
+        self._carve = carve
+        self._blocks: list[Block] = []
+
+    def block(self, size: int) -> Block:
+        """Return a block of that many bytes; their content is of no meaning."""
+        for block in self._blocks:
+            if block.memory.size == size and not block.shared():
+                return block
+        block = Block(size, self._carve)
+        self._blocks = [*self._blocks[1 - MAX_BLOCKS :], block]
+        return block
+
+    def empty(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+        """Return an array as ``numpy.empty`` does."""
+        dtype = np.dtype(dtype)
+        memory = self.block(math.prod(shape) * dtype.itemsize).memory
+        return memory.view(dtype).reshape(shape)
+
+    def copy(self, array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return a copy of an array."""
+        out = self.empty(array.shape, array.dtype)
+        out[...] = array
+        return out
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Recycler, (self._carve,)
 
 
 class Layout:
@@ -93,7 +165,7 @@ def check_memory(config: BatchConfig, more: int = 0) -> None:
 
 
 class ResultArrays:
-    """Hands out arrays for results: with ``config.copy`` ones that nobody else refers to, else the same ones.
+    """Hands out arrays for results: new ones with ``config.copy``, else the same in every step.
 
     The array objects stay in every block of memory, so that a step makes no new views.
     """
@@ -108,14 +180,9 @@ class ResultArrays:
 
     def take(self) -> BatchStep:
         """Return arrays to write the next results into; their content is of no meaning."""
-        return self.take_addressed()[0]
+        return self.take_block()[0]
 
-    def take_addressed(self) -> tuple[BatchStep, npt.NDArray[np.int64]]:
-        """Do the same; return also the addresses of :attr:`BatchStep.arrays`."""
+    def take_block(self) -> tuple[BatchStep, Block]:
+        """Do the same; return also the block that the :attr:`BatchStep.arrays` lie in."""
         block = self._block or self._new.block(self.layout.size)
-        return self._same or self.layout.step(block.arrays), block.addresses
-
-    def take_block(self) -> tuple[npt.NDArray[np.uint8], BatchStep]:
-        """Do the same; return also the bytes that the arrays lie in, as :attr:`layout` has them."""
-        block = self._block or self._new.block(self.layout.size)
-        return block.memory, self._same or self.layout.step(block.arrays)
+        return self._same or self.layout.step(block.arrays), block

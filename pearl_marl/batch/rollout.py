@@ -1,4 +1,4 @@
-"""What a rollout gives: statistics of its episodes and, if asked for, every step of it."""
+"""What a rollout gives: sums of its episodes and, if asked for, every step of it."""
 
 from __future__ import annotations
 
@@ -11,63 +11,52 @@ import numpy.typing as npt
 Array = npt.NDArray[Any]
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectories:
-    """Every step of a rollout; arrays have the shape ``(steps, n_agents, ...)``.
-
-    Attributes
-    ----------
-    observations, action_masks
-        What agents saw before each step; ``action_masks`` is ``None`` where the environment has none.
-    actions
-        What they did, as ``step_batch`` takes it.
-    rewards, terminations, truncations
-        What came of it: ``float32``, ``bool`` and ``bool``.
-    logits
-        What actions were chosen by, ``int32``; ``None`` where the policy has none.
-    """
-
-    observations: Array
-    action_masks: Array | None
-    actions: Array
-    rewards: Array
-    terminations: Array
-    truncations: Array
-    logits: Array | None
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Rollout:
     """The result of ``rollout(policy, steps)``.
 
-    Episodes count that began with the rollout or within it, and ended in it. Of an agent that ends before its world,
-    the episode is as long as the agent takes part.
+    Episodes count that began within the rollout, or just before it, and ended in it. Without a time limit,
+    steps of episodes are not counted, and those under way count from the rollout's start. An agent that ends
+    before its world has an episode that is as long as it took part.
+
+    Hardware with a policy engine adds up over all agents: arrays of sums have one element, and squares are NaN.
 
     Attributes
     ----------
     steps
         How many steps every agent did.
-    episodes, truncated
-        How many episodes ended, and how many of those by nothing but the time limit.
-    returns
-        Sums of rewards over each agent's episodes, ``float64`` of shape ``(n_agents,)``.
-    lengths
-        Steps of these, ``int64`` of shape ``(n_agents,)``.
-    ended
-        How many episodes of each agent ended, ``int64`` of shape ``(n_agents,)``.
-    squares
-        Sums of the squares of returns, ``float64`` of shape ``(n_agents,)``.
-    trajectories
-        Every step, if that was asked for.
+    truncated
+        How many episodes nothing but the time limit ended.
+    returns, squares
+        Sums of the returns of each agent's episodes, and of their squares, ``float64`` of shape
+        ``(n_agents,)``.
+    lengths, ended
+        Sums of these episodes' steps, and how many they are, ``int64`` of shape ``(n_agents,)``.
+    observations, action_masks
+        What agents saw before each step, of shape ``(steps, n_agents, ...)``. These and the following are
+        ``None`` unless every step was asked for; and ``action_masks`` where the environment has none.
+    actions
+        What they did, as ``step_batch`` takes it, of shape ``(steps, n_agents, ...)``.
+    rewards, terminations, truncations
+        What came of it: ``float32``, ``bool`` and ``bool`` of shape ``(steps, n_agents)``.
+    logits
+        What actions were chosen by, ``int32`` of shape ``(steps, n_agents, outputs)``; ``None`` where there
+        is no such.
     """
 
     steps: int
     truncated: int
-    returns: Array
-    squares: Array
-    lengths: Array
-    ended: Array
-    trajectories: Trajectories | None = None
+    returns: npt.NDArray[np.float64]
+    squares: npt.NDArray[np.float64]
+    lengths: npt.NDArray[np.int64]
+    ended: npt.NDArray[np.int64]
+    observations: Array | None = None
+    action_masks: Array | None = None
+    actions: Array | None = None
+    rewards: Array | None = None
+    terminations: Array | None = None
+    truncations: Array | None = None
+    logits: Array | None = None
 
     @property
     def episodes(self) -> int:

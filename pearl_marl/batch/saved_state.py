@@ -30,7 +30,7 @@ Bytes = npt.NDArray[np.uint8]
 
 _MAGIC = b"PEARLST"
 _VERSION = b"1"
-_ARRAYS = ("memory", "stored", "live")
+_ARRAYS = ("memory", "stored", "present")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ class SavedState:
     """The slots: see :mod:`pearl_marl.batch.slot_memory`."""
     stored: Bytes
     """Their stored initial states, if there are any."""
-    live: Bytes
+    present: Bytes
     """For strict PettingZoo lifetimes, one ``uint8`` an agent: whether it is still there."""
 
     def check(self, config: BatchConfig, autoreset: bool = True) -> None:
@@ -80,9 +80,9 @@ class SavedState:
                 raise SavedStateError(
                     f"the saved state has {np.size(array):,} bytes of {name}; this environment has {length:,}"
                 )
-        if self.live.size and self.live.max() > 1:
+        if self.present.size and self.present.max() > 1:
             raise SavedStateError(
-                f"the saved state has {self.live.max()} for an agent that is live; possible are 0 and 1"
+                f"the saved state has {self.present.max()} for an agent that is present; possible are 0 and 1"
             )
         memory = SlotMemory(spec, n, self.memory)
         check_words(config, memory)
@@ -96,7 +96,7 @@ class SavedState:
         size = slots.stop - slots.start
         here = {"n_agents": size * spec.agents, "first_slot": first + slots.start}
 
-        def part(memory: Bytes) -> Bytes:
+        def share_of(memory: Bytes) -> Bytes:
             if not memory.size:  # there may be no stored initial states
                 return memory
             whole, share = SlotMemory(spec, n, memory), SlotMemory(spec, size)
@@ -107,9 +107,9 @@ class SavedState:
         return replace(
             self,
             identity={**self.identity, **here},
-            memory=part(self.memory),
-            stored=part(self.stored),
-            live=self.live[slots.start * spec.agents : slots.stop * spec.agents],
+            memory=share_of(self.memory),
+            stored=share_of(self.stored),
+            present=self.present[slots.start * spec.agents : slots.stop * spec.agents],
         )
 
     @classmethod
@@ -132,7 +132,7 @@ class SavedState:
             identity={**parts[0].identity, "n_agents": sum(sizes) * spec.agents},
             memory=whole("memory"),
             stored=whole("stored"),
-            live=np.concatenate([part.live for part in parts]),
+            present=np.concatenate([part.present for part in parts]),
         )
 
     def copy(self) -> SavedState:

@@ -43,13 +43,13 @@ def check_counters(config: BatchConfig, slots: SlotMemory) -> None:
         # Where slots begin anew at once, none is left ended.
         _check_range(config, "ended", ended, 0, int(config.autoreset_mode is AutoresetMode.NEXT_STEP))
         return
-    everybody = (1 << agents + 1) - 2
-    _check_range(config, "ended", ended, 0, everybody | 1)
+    every_agent = (1 << agents + 1) - 2
+    _check_range(config, "ended", ended, 0, every_agent | 1)
     resetting = (ended & 1).astype(np.bool_)
     if config.autoreset_mode is not AutoresetMode.NEXT_STEP:
         _check_none(config, "ended", ended, resetting)
-    # With its last agent the world ends, and then nobody counts as gone any more.
-    _check_none(config, "ended", ended, ended & everybody == everybody)
+    # With its last agent the world ends, and then no agent counts as ended before it.
+    _check_none(config, "ended", ended, ended & every_agent == every_agent)
     _check_none(config, "ended", ended, resetting & (ended != 1))
 
 
@@ -76,7 +76,7 @@ def check_observations(config: BatchConfig, slots: SlotMemory) -> None:
             for (field, _, (low, high)), words in zip(due, found, strict=True):
                 wrong = (words < low) | (words > high)
                 if spec.agents > 1:
-                    wrong &= ~slots.gone[some, k]
+                    wrong &= ~slots.ended_early[some, k]
                 if np.any(wrong):
                     unit = 2.0**-field.fraction if field.fraction else 1
                     word = int(np.asarray(words)[wrong][0])

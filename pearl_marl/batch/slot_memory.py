@@ -109,11 +109,11 @@ class SlotMemory:
         return self.columns["ended"]
 
     @property
-    def gone(self) -> npt.NDArray[np.bool_]:
+    def ended_early(self) -> npt.NDArray[np.bool_]:
         """Which agents have ended before their world, shape ``(n, agents)``."""
         bits = np.arange(1, 1 + self.spec.agents, dtype=self.ended.dtype)
-        gone: npt.NDArray[np.bool_] = (self.ended[:, None] >> bits & 1).astype(np.bool_)
-        return gone
+        ended: npt.NDArray[np.bool_] = (self.ended[:, None] >> bits & 1).astype(np.bool_)
+        return ended
 
     def values(self) -> Array:
         """Return the values of the state fields, shape ``(n, fields)``, in :func:`state_dtype`."""

@@ -13,12 +13,12 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec, Field
 
 
-def checked_start(spec: EnvSpec, given: object, n: int) -> dict[str, npt.NDArray[Any]]:
+def checked_start(spec: EnvSpec, state: object, n: int) -> dict[str, npt.NDArray[Any]]:
     """Return the words of some fields, by name, each an array of shape ``(n,)`` in its field's dtype.
 
     Parameters
     ----------
-    given
+    state
         A number for all slots or an array of shape ``(n,)``, by the names of fields. They are values: in a
         field with a fraction, ``word * 2**-fraction``, rounded to the nearest.
 
@@ -27,15 +27,15 @@ def checked_start(spec: EnvSpec, given: object, n: int) -> dict[str, npt.NDArray
     ArgumentError
         Names the field, the value and what is possible.
     """
-    if not isinstance(given, Mapping):
-        raise ArgumentError(f"state is {given!r}; it must be a dict of fields and their values")
+    if not isinstance(state, Mapping):
+        raise ArgumentError(f"state is {state!r}; it must be a dict of fields and their values")
     fields = {field.name: field for field in spec.state}
-    for name in given:
+    for name in state:
         if name not in fields:
             near = difflib.get_close_matches(str(name), fields, n=1)
             hint = f", did you mean {near[0]!r}?" if near else ""
             raise ArgumentError(f"the state of {spec.name} has no {name!r}{hint} It has {', '.join(fields)}")
-    return {name: _words(fields[name], values, n) for name, values in given.items()}
+    return {name: _words(fields[name], values, n) for name, values in state.items()}
 
 
 def _words(field: Field, values: Any, n: int) -> npt.NDArray[Any]:

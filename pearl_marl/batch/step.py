@@ -8,15 +8,17 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
+from pearl_marl.errors import renamed
+
 Array = npt.NDArray[Any]
 
 
-class Seen(NamedTuple):
+class Observed(NamedTuple):
     """What agents see before a step, a row an agent; each as :class:`BatchStep` has it."""
 
     obs: Array
     action_masks: Array | None
-    alive: Array
+    in_episode: Array
 
 
 class _Results(NamedTuple):
@@ -48,45 +50,47 @@ class BatchStep(_Results):
     """
 
     action_masks: Array | None = None
-    """``int8``, shape ``(n, n_actions)``: which actions may be taken where ``obs`` was seen. Zeros for who is
-    not ``alive``. ``None`` where the environment has no masks."""
+    """``int8``, shape ``(n, n_actions)``: which actions may be taken where ``obs`` was seen. Zeros for agents
+    that are not ``in_episode``. ``None`` where the environment has no masks."""
 
-    _alive: Array | None = None
+    _in_episode: Array | None = None
 
     @classmethod
     def of(cls, arrays: Sequence[Any], masked: bool) -> Self:
-        """Return the results in arrays: the five, masks if there are any, and ``alive`` if it is told."""
+        """Return the results in arrays: the five, masks if there are any, and ``in_episode`` if given."""
         step = cls(*arrays[:5])
         if masked:
             step.action_masks = arrays[5]
         if len(arrays) > 5 + masked:
-            step._alive = arrays[5 + masked]
+            step._in_episode = arrays[5 + masked]
         return step
 
     @property
     def arrays(self) -> tuple[Array, ...]:
         """All arrays, as :meth:`of` takes them."""
-        if self.action_masks is None and self._alive is None:
+        if self.action_masks is None and self._in_episode is None:
             return self
-        return (*self, *(array for array in (self.action_masks, self._alive) if array is not None))
+        return (*self, *(array for array in (self.action_masks, self._in_episode) if array is not None))
 
-    def each(self, function: Callable[[Array], Any]) -> Self:
+    def map(self, function: Callable[[Array], Any]) -> Self:
         """Return the same with a function of every array in its place."""
         return self.of([function(array) for array in self.arrays], self.action_masks is not None)
 
     @property
-    def alive(self) -> Array:
-        """Who takes part in the next step, ``bool`` of shape ``(n,)``: not who has ended before its world."""
-        return self.terminations | True if self._alive is None else self._alive
+    def in_episode(self) -> Array:
+        """Which agents take part in the next step, ``(n,)``: not those that have ended before their world."""
+        return self.terminations | True if self._in_episode is None else self._in_episode
+
+    alive = renamed("alive", "in_episode")
 
     @property
-    def seen(self) -> Seen:
+    def observed(self) -> Observed:
         """What agents see before the next step."""
-        return Seen(self.obs, self.action_masks, self.alive)
+        return Observed(self.obs, self.action_masks, self.in_episode)
 
     @property
     def ended(self) -> npt.NDArray[np.bool_]:
-        """Whose episodes ended in this step, shape ``(n,)``."""
+        """Which agents' episodes ended in this step, shape ``(n,)``."""
         return self.terminations | self.truncations
 
     def arrivals(self) -> Array:
@@ -103,7 +107,7 @@ class BatchStep(_Results):
 
     def on_host(self) -> Self:
         """Return the results as NumPy arrays: these, or copies of tensors."""
-        return self.each(on_host)
+        return self.map(on_host)
 
 
 def on_host(array: Any) -> Array:

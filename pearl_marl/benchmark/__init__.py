@@ -1,4 +1,5 @@
-"""Throughput of this package and of its peers, measured side by side.
+"""Speed, beside that of other packages and measured in turns: of steps, many agents, and whole trainings.
 
-May import ``interfaces``, ``wrappers`` and what is below them.
+May import everything but the experiments and ``cli``. ``training`` needs the ``train`` extra, and the
+trainers of other packages need ``peers``.
 """

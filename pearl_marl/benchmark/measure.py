@@ -12,14 +12,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 Step = Callable[[], Any]
-"""Steps every slot once. What has processes of its own has a method ``close``, too, which ends them."""
+"""Steps every slot once. A step with processes of its own also has a method ``close``, which ends them."""
 
 
 @dataclass
 class Game:
-    """What steps every slot once where legal actions differ from step to step.
+    """A step where legal actions differ from one step to the next.
 
-    ``choose`` returns actions, which is not timed, and ``step`` takes them.
+    ``choose``, which is not timed, returns the actions that ``step`` takes.
     """
 
     choose: Callable[[], Any]
@@ -36,10 +36,9 @@ class UnavailableError(Exception):
 
 @dataclass
 class Contender:
-    """Something to time: ``make`` returns what steps all ``n`` slots, or agents of worlds, once.
+    """Something to time: ``make`` returns a step of all ``n`` slots, or agents of worlds.
 
-    ``counts`` says what one of its steps includes: which sport this is. ``wait`` waits for what steps have
-    only started.
+    ``counts`` says what one step includes. ``wait`` returns when all steps that were started are done.
     """
 
     name: str
@@ -56,6 +55,11 @@ class Contender:
         """Median seconds of a step of all slots."""
         return statistics.median(self.seconds)
 
+    @property
+    def rate(self) -> float:
+        """Agent-steps per second."""
+        return self.n / self.seconds_per_step
+
     def row(self) -> dict[str, Any]:
         """Return the figures by name, for JSON."""
         result: dict[str, Any] = {"name": self.name, "counts": self.counts, "n": self.n, "ours": self.ours}
@@ -63,16 +67,16 @@ class Contender:
             return {**result, "unavailable": self.unavailable}
         return {
             **result,
-            "steps_per_second": self.n / self.seconds_per_step,
+            "steps_per_second": self.rate,
             "microseconds_per_step": self.seconds_per_step * 1e6,
             "rounds_microseconds": [s * 1e6 for s in self.seconds],
         }
 
 
 def measure(contenders: list[Contender], rounds: int, seconds: float) -> Iterator[str]:
-    """Time contenders ``rounds`` times, each for about so many seconds; yield the name of the next.
+    """Time contenders ``rounds`` times, each for about ``seconds``; yield the name of the next.
 
-    Fills their ``seconds``; those that cannot run get ``unavailable`` instead.
+    Fills their ``seconds``; a contender that cannot run gets ``unavailable`` instead.
     """
     running: list[tuple[Contender, Step | Game, int]] = []
     for contender in contenders:
@@ -110,19 +114,3 @@ def _time_chosen(game: Game, wait: Callable[[], Any]) -> float:
     game.step(actions)
     wait()
     return time.perf_counter() - began
-
-
-def rate(steps_per_second: float) -> str:
-    """Return steps per second as people read them: ``2.71 G``."""
-    for factor, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
-        if steps_per_second >= factor:
-            return f"{steps_per_second / factor:.3g} {prefix}"
-    return f"{steps_per_second:.3g}"
-
-
-def duration(seconds: float) -> str:
-    """Return a duration as people read it: ``17.3 us``."""
-    for factor, unit in ((1.0, "s"), (1e-3, "ms")):
-        if seconds >= factor:
-            return f"{seconds / factor:.3g} {unit}"
-    return f"{seconds / 1e-6:.3g} us"

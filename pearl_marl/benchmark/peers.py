@@ -1,4 +1,4 @@
-"""Others that step environments: EnvPool, Gymnasium's vector environments, and the packages of games."""
+"""Other libraries that step environments: EnvPool, Gymnasium's vector environments, packages of games."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ GYMNASIUM_SYNC_LIMIT = 1024
 """More sub-environments of pure Python cost memory and change nothing about their rate."""
 
 GYMNASIUM_ASYNC_LIMIT = 16
-"""A process each: with more, the machine runs out of cores long before we run out of patience."""
+"""A process for each: with more, the machine runs out of cores."""
 
 
 ENVPOOL_GAMES = {
@@ -45,7 +45,7 @@ ENVPOOL_SEEDED = (1, 2, 6)
 
 
 def peers(spec: EnvSpec, n: int) -> list[Contender]:
-    """Return the peers; one that has no such environment says so when it is made."""
+    """Return the peers; one that lacks the environment raises :class:`UnavailableError` when it is made."""
     sync, asynchronous = min(n, GYMNASIUM_SYNC_LIMIT), min(n, GYMNASIUM_ASYNC_LIMIT)
     arrays = "all result arrays"
     processes, own = (partial(_vectorised, mode=mode) for mode in ("async", "vector_entry_point"))
@@ -67,6 +67,15 @@ def peers(spec: EnvSpec, n: int) -> list[Contender]:
             ("MinAtar", "observations, rewards, ends; Python, one thread", sync, _minatar),
         ]
     return [Contender(name, counts, count, partial(make, spec, count)) for name, counts, count, make in rows]
+
+
+@contextmanager
+def installed(package: str) -> Iterator[None]:
+    """Import what a package has; without the package, the contender is unavailable."""
+    try:
+        yield
+    except ImportError:
+        raise UnavailableError(f"not installed: pip install {package}") from None
 
 
 @contextmanager
@@ -103,7 +112,7 @@ def _required(spec: EnvSpec, package: str) -> str:
 def _envpool_game(spec: EnvSpec) -> str:
     """Return what EnvPool's form of a game differs in from ours, and what it counts."""
     if spec.name == "ConnectFour":
-        return "; the mask of who is on turn"
+        return "; the mask of the player on turn"
     if spec.name == "RobotWarehouse":
         return "; Jumanji's warehouse: worlds of 4 robots, 80 shelves"
     if spec.name != "LevelBasedForaging":
@@ -122,10 +131,8 @@ def _envpool_agents(spec: EnvSpec) -> int:
 
 
 def _envpool(spec: EnvSpec, n: int) -> Step | Game:
-    try:
+    with installed("'.[bench]'"):
         import envpool
-    except ImportError:
-        raise UnavailableError("not installed: pip install '.[bench]'") from None
     name = ENVPOOL_GAMES.get(spec.name) or _required(spec, "EnvPool")
     options = dict(spec.options)
     known = envpool.list_all_envs()
@@ -141,35 +148,33 @@ def _envpool(spec: EnvSpec, n: int) -> Step | Game:
         obs, infos = envs.reset()
         if spec.agents > 1:
             return _envpool_worlds(envs, obs, infos)
-        given = _actions(spec, n, envs.action_space.dtype)
-    return lambda: envs.step(given)
+        actions = _actions(spec, n, envs.action_space.dtype)
+    return lambda: envs.step(actions)
 
 
 def _envpool_worlds(envs: Any, obs: Any, infos: Any) -> Game:
-    """Return what steps EnvPool's games: an action a game where players take turns, else one a player."""
+    """Return a step of EnvPool's games: one action in each game of turns, else one for each player."""
     rng, dtype = np.random.default_rng(0), envs.action_space.dtype
-    seen = [obs, infos]
+    last = [obs, infos]
 
     def choose() -> tuple[npt.NDArray[Any], Any]:
-        obs, infos = seen
+        obs, infos = last
         turns = "legal_action_mask" in infos
         masks = infos["legal_action_mask"] if turns else obs["action_mask"]
-        each = masks.reshape(-1, masks.shape[-1]).view(np.int8)
-        actions = random_allowed(each, rng.integers(1 << 32, size=len(each), dtype=np.uint32), dtype)
+        rows = masks.reshape(-1, masks.shape[-1]).view(np.int8)
+        actions = random_allowed(rows, rng.integers(1 << 32, size=len(rows), dtype=np.uint32), dtype)
         # Games may come back in any order.
         return actions.reshape(masks.shape[:-1]), infos["env_id"]
 
     def step(chosen: tuple[npt.NDArray[Any], Any]) -> None:
-        seen[0], *_, seen[1] = envs.step(*chosen)
+        last[0], *_, last[1] = envs.step(*chosen)
 
     return Game(choose, step)
 
 
 def _foraging(spec: EnvSpec, count: int) -> Game:
-    try:
+    with installed("lbforaging"):
         from lbforaging.foraging import ForagingEnv
-    except ImportError:
-        raise UnavailableError("not installed: pip install lbforaging") from None
     options = dict(spec.options)
     options["sight"] = options["sight"] or max(options["field_size"])
     games = [ForagingEnv(**options) for _ in range(count // spec.agents)]
@@ -190,10 +195,8 @@ def _foraging(spec: EnvSpec, count: int) -> Game:
 
 
 def _warehouse(spec: EnvSpec, count: int) -> Game:
-    try:
+    with installed("rware"):
         from rware.warehouse import RewardType, Warehouse
-    except ImportError:
-        raise UnavailableError("not installed: pip install rware") from None
     options = dict(spec.options)
     shelf_rows, shelf_columns = SIZES[options["size"]]
     games = [
@@ -228,41 +231,37 @@ def _warehouse(spec: EnvSpec, count: int) -> Game:
 
 
 def _connect_four(spec: EnvSpec, count: int) -> Game:
-    try:
+    with installed("pettingzoo"):
         from pettingzoo.classic.connect_four.connect_four import raw_env
-    except ImportError:
-        raise UnavailableError("not installed: pip install pettingzoo") from None
     games = [raw_env() for _ in range(count // spec.agents)]
-    seen = []
+    observed = []
     for i, game in enumerate(games):
         game.reset(seed=i)
-        seen.append(game.last()[0])
+        observed.append(game.last()[0])
     chance = random.Random(0)
 
     def choose() -> list[int]:
-        return [chance.choice(np.flatnonzero(obs["action_mask"]).tolist()) for obs in seen]
+        return [chance.choice(np.flatnonzero(obs["action_mask"]).tolist()) for obs in observed]
 
     def step(actions: Sequence[int]) -> None:
         for i, action in enumerate(actions):
             game = games[i]
             game.step(action)
-            seen[i], _, ended, _, _ = game.last()
+            observed[i], _, ended, _, _ = game.last()
             if ended:
                 game.reset()
-                seen[i] = game.last()[0]
+                observed[i] = game.last()[0]
 
     return Game(choose, step)
 
 
 def _overcooked(spec: EnvSpec, count: int) -> Step:
-    try:
+    with installed("overcooked-ai"):
         from overcooked_ai_py.mdp.actions import Action
         from overcooked_ai_py.mdp.overcooked_mdp import OvercookedGridworld
-    except ImportError:
-        raise UnavailableError("not installed: pip install overcooked-ai") from None
     cook_time, horizon = spec.options["cook_time"], spec.options["horizon"]
-    given = {} if cook_time is None else {"cook_time": cook_time}
-    mdp = OvercookedGridworld.from_layout_name(spec.options["layout"], **given)
+    options = {} if cook_time is None else {"cook_time": cook_time}
+    mdp = OvercookedGridworld.from_layout_name(spec.options["layout"], **options)
     actions = [Action.INDEX_TO_ACTION[k] for k in _actions(spec, count, np.int64)]
     pairs = list(zip(actions[::2], actions[1::2], strict=True))
     states = [mdp.get_standard_start_state() for _ in pairs]
@@ -278,12 +277,9 @@ def _overcooked(spec: EnvSpec, count: int) -> Step:
 
 
 def _coin_game(spec: EnvSpec, count: int) -> Step:
-    try:
-        with silence():
-            import jax
-            from jaxmarl.environments.coin_game import CoinGame
-    except ImportError:
-        raise UnavailableError("not installed: pip install jaxmarl") from None
+    with installed("jaxmarl"), silence():
+        import jax
+        from jaxmarl.environments.coin_game import CoinGame
     game, worlds = CoinGame(**spec.options), count // spec.agents
     actions = dict(zip(game.agents, _actions(spec, count, np.int32).reshape(worlds, -1).T, strict=True))
     key, start = jax.random.split(jax.random.PRNGKey(0))
@@ -307,7 +303,7 @@ PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]
     "ConnectFour": [
         (
             "PettingZoo connect_four_v3",
-            "observation, mask, reward, end of who is on turn; no wrappers that check; Python, one thread",
+            "observation, mask, reward, end of one player; no wrappers that check; Python, one thread",
             _connect_four,
         )
     ],
@@ -315,10 +311,10 @@ PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]
     "Overcooked": [("overcooked-ai", "observations, rewards, ends; Python, one thread", _overcooked)],
     "RobotWarehouse": [("rware", "observations, rewards, ends; Python, one thread", _warehouse)],
 }
-"""The packages whose games ours are, by our names: name, what is counted, and what steps it."""
+"""The packages that our games follow, by our names of these: name, what is counted, and its step."""
 
 AT_ONCE = {"jaxmarl"}
-"""Those that step all their worlds at once. The others take one after the other, so a thousand are enough."""
+"""Packages that step all worlds at once. The others step one after the other, so a thousand are enough."""
 
 
 def _vectorised(spec: EnvSpec, count: int, mode: str) -> Step:
@@ -335,7 +331,7 @@ def _vectorised(spec: EnvSpec, count: int, mode: str) -> Step:
 
 @dataclass
 class _Vectorised:
-    """The step of Gymnasium's vector environment, whose processes complain when they are left behind."""
+    """The step of Gymnasium's vector environment; ``close`` ends its processes."""
 
     envs: Any
     actions: Any
@@ -351,17 +347,15 @@ def _minatar(spec: EnvSpec, count: int) -> Step:
     game = _required(spec, "MinAtar").partition("MinAtar/")[2].rpartition("-v")[0].lower()
     if not game:
         raise UnavailableError(f"MinAtar has no {spec.name}")
-    try:
+    with installed("minatar"):
         from minatar import Environment
-    except ImportError:
-        raise UnavailableError("not installed: pip install minatar") from None
-    given = _actions(spec, count, np.int64).tolist()
+    actions = _actions(spec, count, np.int64).tolist()
     envs = [Environment(game, **dict(spec.options)) for _ in range(count)]
     for i, env in enumerate(envs):
         env.seed(i)
 
     def step() -> None:
-        for env, action in zip(envs, given, strict=True):
+        for env, action in zip(envs, actions, strict=True):
             _, ended = env.act(action)
             env.state()
             if ended:

@@ -15,7 +15,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.markup import escape
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
 from pearl_marl.cli import usage
@@ -32,9 +32,11 @@ COMMANDS = {
     "the kernels of some environments, or all and the trainers.",
     "run": "Step every agent with random (or given) actions: throughput and episode statistics.",
     "train": "Train a policy that all agents share; with the --out of a run that was killed, resume it.",
+    "quantize": "Make a policy in integers of a trained one, and measure the returns of both.",
     "eval": "Evaluate a policy on a device: returns, lengths, latency of every stage, and a digest.",
-    "bench": "Measure steps per second against EnvPool, "
-    "Gymnasium's vector environments and the games' packages.",
+    "match": "Let policies play each other where agents share a world: who wins, and what returns they get.",
+    "bench": "Measure speed beside that of other packages: "
+    "of steps, of growing numbers of agents, of trainings.",
     "verify": "Compare a device with the golden functions, "
     "every word of every field, or replay a divergence.",
     "serve": "Serve a simulated board, to be used with --device xdma:DIR, until Ctrl-C.",
@@ -50,6 +52,18 @@ COMMANDS = {
 """The commands, in the order of their list, each with the first sentence of its own help."""
 
 
+class _Command(TyperCommand):
+    """A command that says itself which arguments it does not take."""
+
+    allow_extra_args = True
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        others: list[str] = super().parse_args(ctx, args)
+        if not ctx.resilient_parsing:  # a shell completes a word
+            usage.refuse_others(ctx, others, sys.argv[1:])
+        return others
+
+
 class _Commands(TyperGroup):
     """Has the list of commands without importing any, and imports the one that is called."""
 
@@ -59,7 +73,12 @@ class _Commands(TyperGroup):
         name, _, rest = super().resolve_command(ctx, args)  # which refuses what is no command
         alone = typer.Typer(add_completion=False, rich_markup_mode=self.rich_markup_mode)
         with interrupts.at_once():  # Numba and PyTorch take seconds to load
-            alone.command(name)(import_module(f"{__name__}.{name}").command)
+            module = import_module(f"{__name__}.{name}")
+        if hasattr(module, "app"):  # of several commands
+            for command in module.app.registered_commands:
+                command.cls = _Command
+            return name, typer.main.get_command(module.app), module.current(rest)
+        alone.command(name, cls=_Command)(module.command)
         return name, typer.main.get_command(alone), rest
 
 

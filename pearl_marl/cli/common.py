@@ -7,6 +7,7 @@ import contextlib
 import json
 import os
 import re
+import shlex
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -16,14 +17,15 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from pearl_marl.checks import MANY
 from pearl_marl.errors import ArgumentError
 from pearl_marl.files import check_files, replace_file
-from pearl_marl.limits import MANY
 from pearl_marl.registry import get_spec, names
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from pearl_marl.benchmark.tables import Table as MeasuredTable
     from pearl_marl.spec import EnvSpec
 
 T = TypeVar("T")
@@ -111,6 +113,7 @@ Out = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Where to write results.", callback=writable)
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
+AsMarkdown = Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")]
 Options = Annotated[
     list[str] | None,
     typer.Option("--option", metavar="NAME=VALUE", help="An argument of the environment; may be repeated."),
@@ -192,6 +195,38 @@ def table(title: str, text: Iterable[str], figures: Iterable[str], **arguments: 
     for heading in figures:
         made.add_column(heading, justify="right", no_wrap=True)
     return made
+
+
+def warn_of_old_form(old: Iterable[str], new: Iterable[str]) -> None:
+    """Warn of a form of a command that works for one version more, and name the form to use."""
+    sentence = f"`pearl {shlex.join(old)}` works for one version more: use `pearl {shlex.join(new)}`"
+    error_console.print(sentence, markup=False, soft_wrap=True)
+
+
+def check_forms(as_json: bool, as_markdown: bool) -> None:
+    """Refuse two forms of a result at once."""
+    if as_json and as_markdown:
+        raise ArgumentError("--json and --markdown are two forms of the same: leave one out")
+
+
+def print_table(title: str, made: MeasuredTable, notes: Iterable[str], as_markdown: bool) -> None:
+    """Print a measurement's table as a grid or in Markdown, and notes below it."""
+    if as_markdown:
+        typer.echo("\n".join([made.markdown(), "", *notes]))
+        return
+    from rich import box
+    from rich.table import Table
+
+    grid = Table(title=title, box=box.SIMPLE, padding=0, collapse_padding=True)  # all fits into 80 columns
+    for column, heading in enumerate(made.headings):
+        text = column in made.text
+        # A long name is folded, and leaves the figures their room.
+        grid.add_column(heading, justify="left" if text else "right", no_wrap=not text, overflow="fold")
+    for row in made.rows:
+        grid.add_row(*(escape(cell.replace("**", "")) for cell in row))
+    console.print(grid)
+    for note in notes:
+        console.print(escape(note), style="dim")
 
 
 def say(text: str) -> None:

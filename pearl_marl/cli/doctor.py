@@ -13,11 +13,11 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from pearl_marl.benchmark.machine import machine
 from pearl_marl.cache import cache_folder, is_kept
 from pearl_marl.cli.common import AsJson, console, print_json
 from pearl_marl.devices import cluster
 from pearl_marl.errors import DeviceError
+from pearl_marl.evaluation.machine import machine
 
 Check = tuple[bool, str, str]
 """Whether it is fine, what was found, and what to do if it is not."""

@@ -9,16 +9,16 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from pearl_marl.benchmark.machine import machine
-from pearl_marl.benchmark.measure import duration, rate
+from pearl_marl.benchmark.tables import duration, rate
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console
 from pearl_marl.errors import ArgumentError
+from pearl_marl.evaluation.machine import machine
 from pearl_marl.hardware.boards import BOARDS
 from pearl_marl.hardware.elaboration import clocked
 from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.latency import LINKS, Link, loop_cycles
-from pearl_marl.plan import Plan, plan
+from pearl_marl.latency.planning import Plan, plan
 
 Slots = Annotated[int, typer.Option("--n-envs", min=1, help="Number of slots (worlds) of the design.")]
 LinkName = Annotated[

@@ -16,12 +16,12 @@ from rich.table import Table
 from pearl_marl.arrays import load_array
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.batch.step import on_host
-from pearl_marl.benchmark.machine import machine
-from pearl_marl.benchmark.measure import duration, rate
+from pearl_marl.benchmark.tables import duration, rate
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console, error_console
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation.episodes import EpisodeStatistics
+from pearl_marl.evaluation.machine import machine
 from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
 from pearl_marl.rendering import VIDEO_STEPS, VIDEO_WORLDS, HeatMap, Video
 from pearl_marl.spec import MAX_CYCLES, EnvSpec

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from functools import partial
+import warnings
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -101,13 +101,18 @@ def command(
         raise ArgumentError(
             f"training needs the Python package {error.name}: pip install '.[train]'"
         ) from None
-    options = dict(spec.options)
     chosen = {"n_agents": n_agents, "iterations": iterations}
-    # --seed always has a value, which must not overrule what --set says.
-    given = {"seed": seed, **common.env_options(setting, "--set")}
-    given |= {name: n for name, n in chosen.items() if n is not None}
-    settings = training.settings_for(algo, env_id, given, shards, spec.agents)
+    # --seed always has a value, which must not overrule --set seed=N.
+    changes = {"seed": seed, **common.env_options(setting, "--set")}
+    changes |= {name: n for name, n in chosen.items() if n is not None}
+    with warnings.catch_warnings(record=True) as renamed:
+        warnings.simplefilter("always", DeprecationWarning)
+        settings = training.settings_for(algo, env_id, changes, shards, spec.agents)
+    for warning in renamed:
+        error_console.print(f"pearl: {warning.message}", markup=False, soft_wrap=True)
 
+    plan = training.Training(env_id, algo, settings, dict(spec.options), device, goal, evaluate_every)
+    run = training.TrainingRun(plan, out, shards)
     columns = (
         TextColumn(f"{env_id}, {algo}", markup=False),
         BarColumn(),
@@ -115,27 +120,24 @@ def command(
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}"),
     )
-    with Progress(
-        *columns, console=error_console, transient=True, disable=not error_console.is_terminal
-    ) as bar:
+    # An iteration that has begun is done to its end: a run cannot go on from half of one.
+    keeping = "keeping the run after this iteration; Ctrl-C again ends it now"
+    with (
+        Progress(
+            *columns, console=error_console, transient=True, disable=not error_console.is_terminal
+        ) as bar,
+        run.claimed(),
+    ):
         task = bar.add_task("train", total=settings.iterations, note="")
-
-        def show(done: int, total: int, row: dict[str, Any]) -> None:
-            trained = row["train_return"]
-            note = f"return {row['eval_return']:.1f}" + (
-                "" if trained is None else f", in training {trained:.1f}"
-            )
-            bar.update(task, completed=done, total=total, note=note)
-
-        run = env_id, options, algo, settings, device, out, goal, evaluate_every, show
-        # An iteration that has begun is learned to its end: half of one could not be gone on with.
-        keeping = "keeping the run after this iteration; Ctrl-C again ends it now"
-        rows = training.train(
-            *run,
-            shards=shards,
-            undisturbed=partial(interrupts.later, keeping),
-            stopped=lambda: interrupts.noted,
-        )
+        while not run.finished:
+            with interrupts.later(keeping):
+                row = run.iterate()
+            if row is not None:
+                bar.update(task, completed=run.trainer.done, note=_note(row))
+            if interrupts.noted and not run.finished:
+                run.keep()
+                raise KeyboardInterrupt
+    rows = run.rows
     best = max(rows, key=lambda row: row["eval_return"])
     result = {"environment": env_id, "algorithm": algo, "folder": str(out), "best": best, "last": rows[-1]}
     if as_json:
@@ -145,3 +147,9 @@ def command(
         f"Best mean return {best['eval_return']:.2f}, after {best['agent_steps']:,} agent-steps and "
         f"{best['seconds']:.1f} s. Wrote {out}: policy.safetensors, metrics.csv, learning_curve.png"
     )
+
+
+def _note(row: dict[str, Any]) -> str:
+    """Return the text of the progress bar after an evaluation."""
+    trained = row["train_return"]
+    return f"return {row['eval_return']:.1f}" + ("" if trained is None else f", in training {trained:.1f}")

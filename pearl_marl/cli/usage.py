@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import enum
 import re
 import shlex
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, get_args
 
 from pearl_marl.errors import ArgumentError
 
@@ -15,7 +16,7 @@ def sentence(error: Any, commands: Iterable[str], arguments: Iterable[str]) -> s
     """Return it for one of Typer's errors, the names of all commands, and the words of the command line."""
     kind, context = type(error).__name__, getattr(error, "ctx", None)
     words = list(arguments)
-    of_command = context.info_name if context and context.parent else None
+    of_command = _path(context)
     # An option without its value is found before its command has a context.
     named = of_command or next((word for word in words if word in commands), None)
     command, help_ = of_command or "pearl", f"pearl {named} --help" if named else "pearl --help"
@@ -33,18 +34,36 @@ def sentence(error: Any, commands: Iterable[str], arguments: Iterable[str]) -> s
         return f"{command} has no option {error.option_name}; {hint}"
     if kind == "BadOptionUsage":
         return f"{error.format_message().rstrip('.')}: see {help_}"
-    message = error.format_message()
-    if message.startswith("No such command"):
-        name = next(word for word in words if not word.startswith("-"))
-        near = difflib.get_close_matches(name, list(commands), 1)
-        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(commands)}"
-        return f"there is no command {name!r}; {hint}"
-    if message.startswith("Got unexpected extra argument"):
-        extra = message.split("(", 2)[2].rstrip(")")
-        return f"{command} does not take {extra!r}, in: pearl {shlex.join(words)}; see {help_}"
-    if message.startswith("Missing command"):
+    if kind == "UsageError" and context is not None and not of_command:
+        return no_command(words, commands)
+    return str(error.format_message())
+
+
+def no_command(words: list[str], commands: Iterable[str]) -> str:
+    """Return what a command line is told that names no command, or none that there is."""
+    name = next((word for word in words if not word.startswith("-")), None)
+    if name is None:
         return f"name a command: there are {', '.join(commands)}"
-    return str(message)
+    near = difflib.get_close_matches(name, list(commands), 1)
+    hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(commands)}"
+    return f"there is no command {name!r}; {hint}"
+
+
+def refuse_others(context: Any, others: list[str], arguments: list[str]) -> None:
+    """Refuse arguments that the command of a context does not take."""
+    if others:
+        command = _path(context)
+        raise ArgumentError(
+            f"{command} does not take {' '.join(others)!r}, in: pearl {shlex.join(arguments)}; "
+            f"see pearl {command} --help"
+        )
+
+
+def _path(context: Any) -> str:
+    """Return the words that name a command, without ``pearl``: ``"bench steps"``."""
+    if context is None or context.parent is None:
+        return ""
+    return f"{_path(context.parent)} {context.info_name}".strip()
 
 
 def refuse_empty(arguments: Iterable[str]) -> None:
@@ -59,8 +78,8 @@ def refuse_empty(arguments: Iterable[str]) -> None:
         before = word
 
 
-_LIMITS = {"greater than or equal to": "at least", "less than or equal to": "at most"}
-"""What pydantic says of the ends of ranges, and what we do."""
+_KINDS = {"int_parsing": "an integer", "float_parsing": "a number"}
+"""What a value has to be, by the type of pydantic's error."""
 
 
 def _of_value(error: Any) -> str:
@@ -70,17 +89,21 @@ def _of_value(error: Any) -> str:
     reasons: list[Any] = getattr(error.__cause__, "errors", list)()
     if not reasons:
         return f"{name}: {error.message}"
-    value, why = reasons[0]["input"], reasons[0]["msg"]
-    if "is not one of" in why:
-        return f"{name} is {value!r}; it must be one of {why.split('is not one of ')[1].rstrip('.')}"
-    for limit, words in _LIMITS.items():
-        if limit in why:
-            most = why.partition(limit)[2].strip()
-            return f"{name} is {value}; it must be {words} {int(most):,}"
-    wanted = (
-        why.removeprefix("Input should be ").partition(", unable")[0].replace("a valid integer", "an integer")
-    )
-    return f"{name} is {value!r}; it must be {wanted.replace('a valid ', 'a ')}"
+    value, kind, limits = reasons[0]["input"], reasons[0]["type"], reasons[0].get("ctx", {})
+    if choices := _choices(param):
+        return f"{name} is {value!r}; it must be one of {', '.join(map(repr, choices))}"
+    for end, words in (("ge", "at least"), ("le", "at most")):
+        if end in limits:
+            return f"{name} is {value}; it must be {words} {limits[end]:,}"
+    return f"{name} is {value!r}; it must be {_KINDS[kind]}" if kind in _KINDS else f"{name}: {error.message}"
+
+
+def _choices(param: Any) -> list[Any]:
+    """Return the values of an option that is an enumeration, if it is one."""
+    kind = getattr(getattr(param, "type_descriptor", None), "annotation", None)
+    kinds = (kind, *get_args(kind))
+    enums = (one for one in kinds if isinstance(one, type) and issubclass(one, enum.Enum))
+    return [member.value for member in next(enums, ())]
 
 
 def _lower(text: str | None) -> str:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import BatchStep, Seen
+from pearl_marl.batch.step import BatchStep, Observed
 from pearl_marl.spec import EnvSpec
 
 Array = npt.NDArray[Any]
@@ -96,20 +96,20 @@ class Divergence:
 
 def result_words(spec: EnvSpec, device: BatchStep, reference: BatchStep) -> Iterator[Words]:
     """Yield the words of a step's results; final observations where the reference's agents ended."""
-    yield from seen_words(spec, device.seen, reference.seen)
+    yield from seen_words(spec, device.observed, reference.observed)
     for name in ("rewards", "terminations", "truncations"):
         yield from _by_world(spec, Words(name, getattr(device, name), getattr(reference, name)))
     yield from _observation(spec, "final_obs", device.final_obs, reference.final_obs, reference.ended)
 
 
-def seen_words(spec: EnvSpec, device: Seen, reference: Seen) -> Iterator[Words]:
-    """Yield the words of what agents see, and of who is alive in worlds of several."""
+def seen_words(spec: EnvSpec, device: Observed, reference: Observed) -> Iterator[Words]:
+    """Yield the words of what agents see, and in worlds of several which are in an episode."""
     yield from _observation(spec, "obs", device.obs, reference.obs)
     if reference.action_masks is not None:
         assert device.action_masks is not None
         yield from _by_world(spec, Words("action_masks", device.action_masks, reference.action_masks))
     if spec.agents > 1:
-        yield from _by_world(spec, Words("alive", device.alive, reference.alive))
+        yield from _by_world(spec, Words("in_episode", device.in_episode, reference.in_episode))
 
 
 def _observation(

@@ -2,7 +2,7 @@
 
 That is how one divides by hand: from the highest bit on, the divisor is taken off what is left if it fits in.
 The scheduler puts as many of these steps into a stage as its clock allows. Nothing is asked of the divisor:
-if it is 0 the quotient is some other number, and nobody looks at it.
+if it is 0 the quotient is some other number, which is not used.
 """
 
 from __future__ import annotations

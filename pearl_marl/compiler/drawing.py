@@ -98,11 +98,11 @@ def _hint(node: Node) -> str:
 def _box(place: tuple[int, int], label: str, bits: int, op: str, hint: str) -> str:
     x, y = place
     colour = COLOURS.get(op, "#f4f4f4")
-    shown = label if len(label) <= 16 else f"{label[:15]}…"
+    short = label if len(label) <= 16 else f"{label[:15]}…"
     return (
         f"<g><title>{escape(hint)}</title>"
         f'<rect x="{x}" y="{y}" width="{BOX}" height="20" rx="3" fill="{colour}"/>'
-        f'<text x="{x + 4}" y="{y + 14}">{escape(shown)}</text>'
+        f'<text x="{x + 4}" y="{y + 14}">{escape(short)}</text>'
         f'<text x="{x + BOX - 4}" y="{y + 14}" text-anchor="end" fill="#777">{bits}</text></g>'
     )
 

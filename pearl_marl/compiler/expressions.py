@@ -172,7 +172,7 @@ class Expressions:
             self.late[node, stage] = self._free(f"{base}_q{stage}")
         return self.late[node, stage]
 
-    def part(self, node: Node, low: int, bits: int, stage: int) -> str:
+    def slice(self, node: Node, low: int, bits: int, stage: int) -> str:
         """Return so many bits of a node from ``low`` on, as they are in a stage."""
         args = node.args
         match node.op:
@@ -181,28 +181,28 @@ class Expressions:
             case "wrap":
                 have = node.imm[0] - low
                 if bits <= have:
-                    return self.part(args[0], low, bits, stage)
+                    return self.slice(args[0], low, bits, stage)
                 if have <= 0:
                     return self._beyond(args[0], node.imm[0], node.low < 0, bits, stage)
-                return self._extended(self.part(args[0], low, have, stage), have, bits, node.low < 0)
+                return self._extended(self.slice(args[0], low, have, stage), have, bits, node.low < 0)
             case "right":
-                return self.part(args[0], low + node.imm, bits, stage)
+                return self.slice(args[0], low + node.imm, bits, stage)
             case "left" | "join":
                 return self._shifted(node, low, bits, stage)
             case "mask":
-                flag = self.part(args[0], 0, 1, stage)
+                flag = self.slice(args[0], 0, 1, stage)
                 return flag if bits == 1 else f"{{{bits}{{{flag}}}}}"
             case "not":
                 if low:
                     return literal(0, bits)
-                return self._extended(_inverted("!", self.part(args[0], 0, 1, stage)), 1, bits, signed=False)
+                return self._extended(_inverted("!", self.slice(args[0], 0, 1, stage)), 1, bits, signed=False)
             case "invert":
-                if node.low >= 0 and low + bits > node.bits:  # the sign of what is inverted is nobody's
+                if node.low >= 0 and low + bits > node.bits:  # the sign of an inverted word is not used
                     have = node.bits - low
                     if have <= 0:
                         return literal(0, bits)
-                    return self._extended(self.part(node, low, have, stage), have, bits, signed=False)
-                return _inverted("~", self.part(args[0], low, bits, stage))
+                    return self._extended(self.slice(node, low, have, stage), have, bits, signed=False)
+                return _inverted("~", self.slice(args[0], low, bits, stage))
         if node in self.inlined:
             assert (low, stage) == (0, self.stage[node])
             value, have = self.expression(node), self.width(node)
@@ -230,22 +230,22 @@ class Expressions:
         """Return bits above a word: its sign, or none."""
         if not signed:
             return literal(0, bits)
-        top = self.part(node, wide - 1, 1, stage)
+        top = self.slice(node, wide - 1, 1, stage)
         return top if bits == 1 else f"{{{bits}{{{top}}}}}"
 
     def _shifted(self, node: Node, low: int, bits: int, stage: int) -> str:
         """Return bits of a word and what is below it: another word, or zeros."""
         upper, cut = node.args[0], node.imm
         if low >= cut:
-            return self.part(upper, low - cut, bits, stage)
+            return self.slice(upper, low - cut, bits, stage)
         have = cut - low
 
         def below(bits: int) -> str:
-            return literal(0, bits) if node.op == "left" else self.part(node.args[1], low, bits, stage)
+            return literal(0, bits) if node.op == "left" else self.slice(node.args[1], low, bits, stage)
 
         if bits <= have:
             return below(bits)
-        return f"{{{self.part(upper, 0, bits - have, stage)}, {below(have)}}}"
+        return f"{{{self.slice(upper, 0, bits - have, stage)}, {below(have)}}}"
 
     def _extended(self, piece: str, have: int, bits: int, signed: bool) -> str:
         if have == bits:
@@ -259,7 +259,7 @@ class Expressions:
         stage, bits, args = self.stage[node], self.width(node), node.args
 
         def word(arg: Node, wide: int = bits) -> str:
-            return self.part(arg, 0, wide, stage)
+            return self.slice(arg, 0, wide, stage)
 
         match node.op:
             case "and" | "or" | "xor":
@@ -295,13 +295,13 @@ class Expressions:
         if arg.op == "constant":
             bits = arg.bits + (arg.low >= 0)
             return f"{bits}'sh{arg.imm & ((1 << bits) - 1):x}"
-        value = self.part(arg, 0, arg.bits, stage)
+        value = self.slice(arg, 0, arg.bits, stage)
         return f"signed'({bare(value)})" if arg.low < 0 else f"signed'({{1'b0, {bare(value)}}})"
 
     def _compared(self, node: Node) -> str:
         signed = any(a.low < 0 for a in node.args)
         wide = max(a.bits + (signed and a.low >= 0) for a in node.args)
-        a, b = (self.part(arg, 0, wide, self.stage[node]) for arg in node.args)
+        a, b = (self.slice(arg, 0, wide, self.stage[node]) for arg in node.args)
         if node.op == "equal":
             return f"({a} == {b})"
         if node.imm:
@@ -321,8 +321,8 @@ class Expressions:
             word, constant = constant, word
         limit = constant.imm + turned
         bits = wide - low
-        entering = f"{self.part(word, 0, low, stage)} < {literal(limit, low)}"
-        value = f"{{{bare(self.part(word, low, bits, stage))}, !({entering})}}"
+        entering = f"{self.slice(word, 0, low, stage)} < {literal(limit, low)}"
+        value = f"{{{bare(self.slice(word, low, bits, stage))}, !({entering})}}"
         most = literal((limit >> low) * 2, bits + 1)
         if any(a.low < 0 for a in node.args):
             value, most = f"signed'({value})", f"signed'({most})"
@@ -335,14 +335,14 @@ class Expressions:
         for (sign, shift), arg in sorted(zip(weights, node.args, strict=True), key=lambda term: -term[0][0]):
             if shift >= bits:
                 continue
-            value = self.part(arg, 0, bits - shift, stage)
+            value = self.slice(arg, 0, bits - shift, stage)
             value = f"{{{bare(value)}, {literal(0, shift)}}}" if shift else value
             if not text:
                 text = value if sign > 0 else f"{literal(constant, bits)} - {value}"
                 constant = constant if sign > 0 else 0
             else:
                 text += f" {'+' if sign > 0 else '-'} {value}"
-        if not text:  # all that is added is above the bits that somebody uses
+        if not text:  # all that is added is above the bits that are used
             return literal(constant, bits)
         up, down = constant & ((1 << bits) - 1), -constant & ((1 << bits) - 1)
         if up:
@@ -361,7 +361,7 @@ class Expressions:
             }
             result = VALUES[node.op](node.imm, *(values.get(a, a.imm) for a in node.args))
             entries.append(int(result) & ((1 << bits) - 1))
-        index = [self.part(w, 0, w.bits, stage) for w in words]
+        index = [self.slice(w, 0, w.bits, stage) for w in words]
         if node not in self.inlined:
             self.remarks[node] = bare(self._sum(node) if node.op == "sum" else self._compared(node))
         joined = index[0] if len(index) == 1 else f"{{{', '.join(map(bare, index))}}}"

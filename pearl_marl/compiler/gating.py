@@ -3,7 +3,7 @@
 To choose between the old state and the new one at the end would cost a multiplexer a bit, and the old state
 would have to be carried along. So a word that has to be 0 under hold is made so where that takes the fewest
 bits, such as in the flag that decides on a move; and ``row + down - up`` keeps ``row`` if ``down`` and ``up``
-are 0. What nobody looks at under hold is anything then.
+are 0. Words that are not used under hold may then be anything.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class _Gates:
         self.go.name = "go"
         self.leaves = {*start, *(n for n in order if not n.args)}
         self.plans: dict[tuple[Node, Demand], Plan | None] = {}
-        """How each demand that somebody has is met; ``None`` stands for a gate at the node itself."""
+        """How each demand is met; ``None`` stands for a gate at the node itself."""
         self.first: dict[Node, Demand] = {}
         """A demand that is met by arguments, of nodes that have one."""
         self.made: dict[tuple[Node, Demand], Node] = {}

@@ -18,9 +18,19 @@ import llvmlite
 import numba
 import numpy as np
 
-from pearl_marl import object_code, remaking, rng
-from pearl_marl.compiler import llvm_functions, llvm_loops, llvm_planes, llvm_words
-from pearl_marl.compiler.kernel_source import kernel_source
+from pearl_marl import object_code, rebinding, rng
+from pearl_marl.batch import slot_memory
+from pearl_marl.compiler import (
+    flag_runs,
+    kernel_ends,
+    kernel_loops,
+    llvm_functions,
+    llvm_loops,
+    llvm_planes,
+    llvm_words,
+)
+from pearl_marl.compiler.kernel_loops import KERNELS, KernelLoops
+from pearl_marl.compiler.kernel_source import counter_of, kernel_source
 from pearl_marl.compiler.loading import fingerprint, load, with_callees
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.machine_code import kept_code
@@ -44,28 +54,30 @@ class Kernels(NamedTuple):
     Results are those of :attr:`pearl_marl.batch.step.BatchStep.arrays`: where there are masks, and worlds of
     several agents, ``action_masks`` and ``alive`` follow the observations that come last.
 
-    ``reset(memory, stored, mask, observations, seed_0, seed_1, tick, first_slot, use_stored, n, lo, hi)``
-        starts an episode in every slot of ``lo .. hi - 1`` whose mask is set, and writes the
-        observation of every slot of the range. Elapsed steps are left to the caller.
-    ``step(given, actions, table, lo, hi)``
-        steps that range. ``given`` is an ``int64`` array of addresses and settings: see
-        :data:`~pearl_marl.compiler.kernel_source.GIVEN`. ``elapsed`` are the steps of each slot's episode,
-        which ``memory`` has a column for, in narrower words. ``final_observations`` are written for a block
-        in which a slot ended. Returns whether all actions were in the action space, if that was to be
+    ``reset(memory, stored, mask, views, seed_0, seed_1, tick, first_slot, use_stored, n, lo, hi)``
+        starts an episode in every slot of ``lo .. hi - 1`` whose mask is set, and writes the observation of
+        every slot of the range. ``views`` is a tuple of observations, then masks and ``alive``, where there
+        are any. Elapsed steps are left to the caller.
+    ``step(arguments, actions, table, lo, hi)``
+        steps that range. ``arguments`` is a ``uint64`` array of addresses and settings: see
+        :data:`~pearl_marl.compiler.kernel_loops.STEP_ARGUMENTS`. ``elapsed`` are the steps of each slot's
+        episode, which ``memory`` has a column for, in narrower words. ``final_observations`` are written for
+        a block in which a slot ended. Returns 1 where all actions were in the action space, if that was to be
         checked; if not, nothing has been done.
-    ``deliver(*words, observations)``
-        turns the words of observations, an array a field, into the observations themselves.
-    ``results(*words, code_words, ter_words, stored, table, observations, rewards, terminations, truncations,
-    final_observations, seed_0, seed_1, tick, first_slot, next_step, use_stored, n, lo, hi)``
-        does so with all the words of a step: of observations, rewards and ends. Unless ``next_step``,
-        a slot that ended gets the first observation of its next episode, which begins at ``tick``. Words of
-        observations end with those of masks. Of several agents, ``gone_words`` follow ``ter_words``: the
-        column ``ended`` as it was before the step, 0 for a slot that was resetting.
+    ``deliver(words, observations, n)``
+        turns the words of ``n`` observations, a tuple of an array a field, into the observations themselves.
+    ``results(words, codes, end_words, stored, table, results, seed_0, seed_1, tick, first_slot,
+    next_step, use_stored, n, lo, hi)``
+        does so with all the words of a step: of observations, rewards and ends. Unless ``next_step``, a slot
+        that ended gets the first observation of its next episode, which begins at ``tick``. Words of
+        observations end with those of masks. ``end_words`` is a tuple; of several agents its second entry is
+        the column ``ended`` as it was before the step, 0 for a slot that was resetting. ``results`` is a
+        tuple of the results' arrays.
     ``advance(memory, actions, table, rewards, terminations, n, lo, hi)``
         does the golden step and the rewards alone, for benchmarks.
 
     ``memory`` and ``stored`` are laid out by :mod:`pearl_marl.batch.slot_memory`; flags are ``uint8``;
-    ``lo`` is a multiple of :data:`pearl_marl.compiler.block_pieces.BLOCK`. All release the GIL.
+    ``lo`` is a multiple of :data:`pearl_marl.compiler.kernel_loops.BLOCK`. All release the GIL.
     """
 
     reset: Callable[..., None]
@@ -82,38 +94,37 @@ def compile_kernels(spec: EnvSpec, counter: np.dtype[Any] | None = None) -> Kern
     ``counter`` is the dtype of elapsed steps, as :func:`kernel_source` takes it.
     """
     source = kernel_source(spec, counter)
+    parts = (
+        *(flag_runs, kernel_ends, kernel_loops, llvm_functions, llvm_loops, llvm_planes, llvm_words),
+        *(object_code, rebinding, rng, slot_memory),
+    )
     versions = (
         numba.__version__,
         llvmlite.__version__,
         np.__version__,
         f"{_FORCE_INLINE=}",
-        inspect.getsource(llvm_words),
-        inspect.getsource(llvm_functions),
-        inspect.getsource(llvm_loops),
-        inspect.getsource(llvm_planes),
-        inspect.getsource(object_code),
-        inspect.getsource(remaking),
+        *map(inspect.getsource, parts),
     )
     name = kernel_name(spec, source, versions)
     if name not in _loaded:
-        calling: dict[str, Any] = {
-            name: llvm_functions.inlined(function) for name, function in DRAWING.items()
+        golden: dict[str, Any] = {}
+        unpack = spec.positional.unpack
+        compiled = None if unpack is None else _compiled(unpack)
+        loops = KernelLoops(spec, counter_of(spec, counter), golden, compiled)
+        writing = {
+            f"write_{kernel}": llvm_functions.written(getattr(loops, kernel), arguments, loops.compiled)
+            for kernel, arguments in KERNELS.items()
         }
-        if spec.positional.unpack is not None:
-            calling["unpack"] = _compiled(spec.positional.unpack)
         module, path = load(
             name,
             source,
             kernel=partial(_kernel, name),
-            called=numba.njit(error_model="numpy", **_FOR_KERNELS),
-            called_inline=numba.njit(forceinline=_FORCE_INLINE, error_model="numpy", **_FOR_KERNELS),
-            inlined=llvm_functions.inlined,
+            inlined=lambda function: golden.setdefault(function.__name__, function),
             **llvm_words.operations(),
-            **calling,
+            **writing,
         )
-        _loaded[name] = Kernels(
-            module.reset, module.step, module.deliver, module.results, module.advance, path
-        )
+        made: dict[str, Any] = {kernel: getattr(module, kernel) for kernel in KERNELS}
+        _loaded[name] = Kernels(**made, path=path)
     return _loaded[name]
 
 

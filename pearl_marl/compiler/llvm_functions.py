@@ -1,20 +1,19 @@
-"""Functions of kernels that are written straight into the kernel that calls them, as LLVM's instructions.
+"""Functions of kernels, written as LLVM's instructions by ordinary Python.
 
-A function has no branches, so it can be run once on words that write down what is done to them. Its loops are
-written once, too: ``range`` gives the index as a word, and what lasts from turn to turn is in memory.
-Numba takes many times as long for such a function, since it finds out types, owners and errors for each
-line, and has LLVM optimize it by itself before it does so where it is called.
+A function is given a :class:`Code`, and runs once. It computes with values that write down what is done to
+them. Loops, branches and variables come from the ``Code``: ``for i in code.range(m)`` writes one loop, ``with
+code.when(flag)`` one branch; an ``if`` of Python decides what is written. Numba takes many times as long for
+such a function, since it finds out types, owners and errors for each line.
 """
 
 from __future__ import annotations
 
-import dis
 import inspect
-import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
@@ -34,7 +33,7 @@ from pearl_marl.compiler.llvm_words import (
     Maker,
     arrays,
 )
-from pearl_marl.remaking import remade
+from pearl_marl.rebinding import rebound
 
 cgutils: Any = _cgutils
 """Numba's, which has no types."""
@@ -48,27 +47,25 @@ LONG = 200
 FAILED = ir.IntType(8)
 """What such a function returns: 1 where there is no memory left, and else 0."""
 
-_Tuple: Any = types.Tuple
 
-
-class Word:
-    """A word of a function that is being written: LLVM's value, and Numba's type.
+class Value:
+    """A word that instructions compute: LLVM's value, and Numba's type.
 
     ``again`` makes the value again where a loop has been cut; it returns None if that is not possible. Where
-    there is none, the value is kept. What ``loads`` is counted when somebody uses it.
+    there is none, the value is kept. What ``loads`` is counted when it is used.
     """
 
     def __init__(
         self,
-        builder: Writer,
+        code: Code,
         value: Any,
         type_: Any,
         again: Callable[[], Any] | None = None,
         loads: bool = False,
     ) -> None:
-        self.builder, self.type = builder, type_
+        self.code, self.type = code, type_
         self._value, self._again, self._uncounted = value, again, loads
-        self._loop = builder.loops[-1] if builder.loops else None
+        self._loop = code.loops[-1] if code.loops else None
         self._part = self._loop.part if self._loop else 0
         self._kept: int | None = None
         self.counts = False
@@ -92,117 +89,409 @@ class Word:
                 if self._kept is None:
                     self._kept = loop.keep(self._value, self._part)
                 value = loop.kept(self._kept, self._value.type)
-            if loop is not self.builder.loops[-1]:  # within another loop: that value is not there behind it
+            if loop is not self.code.loops[-1]:  # within another loop: that value is not there behind it
                 return value
             self._value, self._part = value, loop.part
         return self._value
 
     def __bool__(self) -> bool:
-        raise TypeError("there are no branches in functions that are inlined")
+        raise TypeError("no `if` can decide on a word of a kernel: branches are written by `code.when`")
 
-    def to(self, type_: Any) -> Word:
+    def to(self, type_: Any) -> Value:
         """Return the word in another type."""
         if type_ == self.type:
             return self
         if self._again is None:
-            return Word(self.builder, self._as(type_, self.value), type_)
+            return Value(self.code, self._as(type_, self.value), type_)
 
         def again() -> Any:
             return self._as(type_, self.value)
 
-        return Word(self.builder, self._as(type_, self.uncounted()), type_, again, self._uncounted)
+        return Value(self.code, self._as(type_, self.uncounted()), type_, again, self._uncounted)
 
     def _as(self, type_: Any, value: Any) -> Any:
         own, bits, to = self.type, type_.bitwidth, _llvm(type_)
         if type_ in FLOATS:
-            return (self.builder.sitofp if own.signed else self.builder.uitofp)(value, to)
+            return (self.code.sitofp if own.signed else self.code.uitofp)(value, to)
         if bits < own.bitwidth:
-            return self.builder.trunc(value, to)
+            return self.code.trunc(value, to)
         if bits > own.bitwidth:
-            return (self.builder.sext if own.signed else self.builder.zext)(value, to)
+            return (self.code.sext if own.signed else self.code.zext)(value, to)
         return value
 
-    def _with(self, name: str, other: Word | int) -> Word:
-        self.builder.count(operations=1)
-        if isinstance(other, int):
-            other = Word(self.builder, _llvm(self.type)(other), self.type)
-        assert self.type == other.type, "whoever uses operators casts both words"
+    def _with(self, name: str, other: Value | float) -> Value:
+        if not isinstance(other, Value):
+            other = self.code.word(self.type, other)
+        assert self.type == other.type, "both words are cast to one type first"
         if self.type in FLOATS:
             assert name == "mul"
-            return Word(self.builder, self.builder.fmul(self.value, other.value), self.type)
-        value = ARITHMETIC[name](self.builder, self.type.signed, self.value, other.value)
-        return Word(self.builder, value, self.type)
+            self.code.count(operations=1)
+            return Value(self.code, self.code.fmul(self.value, other.value), self.type)
+        return self.code.operation(ARITHMETIC[name], self.type, self.type, self, other)
 
-    def __add__(self, other: Word | int) -> Word:
+    def _compared(self, name: str, other: Value | int) -> Value:
+        return self.code.operation(COMPARISONS[name], self.type, types.uint8, self, other)
+
+    def __add__(self, other: Value | int) -> Value:
         return self._with("add", other)
 
-    def __mul__(self, other: Word | int) -> Word:
+    def __sub__(self, other: Value | int) -> Value:
+        return self._with("sub", other)
+
+    def __mul__(self, other: Value | float) -> Value:
         return self._with("mul", other)
 
     __rmul__ = __mul__
 
-    def __and__(self, other: Word | int) -> Word:
+    def __and__(self, other: Value | int) -> Value:
         return self._with("and", other)
 
-    def __xor__(self, other: Word | int) -> Word:
+    def __or__(self, other: Value | int) -> Value:
+        return self._with("or", other)
+
+    def __xor__(self, other: Value | int) -> Value:
         return self._with("xor", other)
 
-    def __rshift__(self, other: Word | int) -> Word:
+    def __lshift__(self, other: Value | int) -> Value:
+        return self._with("left", other)
+
+    def __rshift__(self, other: Value | int) -> Value:
         return self._with("right", other)
 
-    def __floordiv__(self, other: Word | int) -> Word:
+    def __floordiv__(self, other: Value | int) -> Value:
         return self._with("divide", other)
 
-    def __mod__(self, other: Word | int) -> Word:
+    def __mod__(self, other: Value | int) -> Value:
         return self._with("modulo", other)
+
+    def __lt__(self, other: Value | int) -> Value:
+        return self._compared("less", other)
+
+    def __ge__(self, other: Value | int) -> Value:
+        return self._compared("at_least", other)
+
+    def equals(self, other: Value | int) -> Value:
+        """Return 1 where two words are equal, else 0."""
+        return self._compared("equal", other)
+
+    def differs(self, other: Value | int) -> Value:
+        """Return 0 where two words are equal, else 1."""
+        return self._compared("differ", other)
 
 
 class Column:
-    """Words side by side in memory, of a function that is being written: LLVM's address of the first."""
+    """Words side by side in memory: LLVM's address of the first, and their type."""
 
-    def __init__(self, builder: Any, first: Any, type_: Any) -> None:
-        self.builder, self.first, self.type = builder, first, type_
+    def __init__(self, code: Code, first: Any, type_: Any) -> None:
+        self.code, self.first, self.type = code, first, type_
         self._stores = 0
 
-    @classmethod
-    def of(cls, builder: Any, table: Any) -> Column:
-        """Return a table of constants."""
-        type_ = getattr(types, str(table.dtype))
-        word = _llvm(type_)
-        constant = ir.Constant(ir.ArrayType(word, len(table)), [word(int(entry)) for entry in table])
-        place = ir.GlobalVariable(builder.module, constant.type, builder.module.get_unique_name("table"))
-        place.global_constant, place.linkage, place.initializer = True, "internal", constant
-        return cls(builder, builder.bitcast(place, word.as_pointer()), type_)
-
-    def __getitem__(self, index: Word | int) -> Word:
+    def __getitem__(self, index: Value | int) -> Value:
         stores = self._stores
 
         def again() -> Any:
-            return self.builder.load(self.at(index)) if stores == self._stores else None
+            return self.code.load(self.at(index)) if stores == self._stores else None
 
-        return Word(self.builder, self.builder.load(self.at(index)), self.type, again, loads=True)
+        return Value(self.code, self.code.load(self.at(index)), self.type, again, loads=True)
 
-    def __setitem__(self, index: Word | int, word: Word | int) -> None:
+    def __setitem__(self, index: Value | int, word: Value | int) -> None:
         place = self.written(index)
-        value = word.to(self.type).value if isinstance(word, Word) else _llvm(self.type)(word)
-        self.builder.store(value, place)
+        value = word.to(self.type).value if isinstance(word, Value) else _llvm(self.type)(word)
+        self.code.store(value, place)
 
-    def written(self, index: Word | int) -> Any:
+    def written(self, index: Value | int) -> Any:
         """Return the address of words that are written next."""
-        scattered = isinstance(index, Word) and not index.counts
-        self.builder.count(accesses=1, scattered=scattered)
+        scattered = isinstance(index, Value) and not index.counts
+        self.code.count(accesses=1, scattered=scattered)
         self._stores += 1
         return self.at(index)
 
-    def at(self, index: Word | int) -> Any:
+    def at(self, index: Value | int) -> Any:
         """Return the address of a word."""
-        return self.builder.gep(self.first, [_number(index)])
+        return self.code.gep(self.first, [_number(index)])
 
-    def from_byte(self, type_: Any, start: Word | int, index: Word | int) -> Column:
-        """Return words of a type, from the one that is ``index`` words behind byte ``start``."""
-        byte = self.builder.gep(self.builder.bitcast(self.first, BYTES), [_number(start)])
-        first = self.builder.bitcast(byte, _llvm(type_).as_pointer())
-        return Column(self.builder, self.builder.gep(first, [_number(index)]), type_)
+    def view(self, type_: Any, byte: Value | int = 0, index: Value | int = 0) -> Column:
+        """Return the words of a type that begin ``index`` words behind a byte."""
+        start = self.code.gep(self.code.bitcast(self.first, BYTES), [_number(byte)])
+        first = self.code.bitcast(start, _llvm(type_).as_pointer())
+        return Column(self.code, self.code.gep(first, [_number(index)]), type_)
+
+    def write_flags(self, index: Value | int, word: Value, count: int) -> None:
+        """Write the lowest bits of a word, a number each."""
+        code, place = self.code, self.written(index)
+        # As a vector: LLVM does not find out by itself that a bit each of a word are numbers side by side.
+        value = code.trunc(word.value, ir.IntType(count)) if count < word.type.bitwidth else word.value
+        numbers = ir.VectorType(_llvm(self.type), count)
+        chosen = code.select(
+            code.bitcast(value, ir.VectorType(ir.IntType(1), count)),
+            ir.Constant(numbers, [1] * count),
+            ir.Constant(numbers, [0] * count),
+        )
+        code.store(chosen, code.bitcast(place, numbers.as_pointer()), self.type.bitwidth // 8)
+
+    def copy(self, source: Column, index: Value, count: int) -> None:
+        """Copy words that have the same index in another column."""
+        # Of a constant length: LLVM makes moves of it as wide as they come, where a loop has a scalar tail.
+        size = ir.IntType(64)(count)
+        cgutils.raw_memcpy(self.code, self.written(index), source.at(index), size, self.type.bitwidth // 8)
+
+    def prefetch(self, index: Value, count: int) -> None:
+        """Ask for the cache lines of words that will be written: so the cache misses of many overlap."""
+        code, i32, size = self.code, ir.IntType(32), count * self.type.bitwidth // 8
+        takes = ir.FunctionType(ir.VoidType(), [BYTES, i32, i32, i32])
+        request = code.module.declare_intrinsic("llvm.prefetch", [BYTES], takes)
+        first = code.bitcast(self.at(index), BYTES)
+        for byte in (*range(0, size, LINE), size - 1):
+            address = code.gep(first, [ir.IntType(64)(byte)])
+            code.call(request, [address, i32(1), i32(3), i32(1)])  # to write, to keep, data
+
+
+class Frame:
+    """The words and columns that a function works on, by name: ``frame.rewards``."""
+
+    def __init__(self, **named: Value | Column) -> None:
+        self.named = named
+        self.used: set[str] = set()
+
+    def __getattr__(self, name: str) -> Any:
+        self.used.add(name)
+        return self.named[name]
+
+    def with_(self, **more: Value | Column) -> Frame:
+        """Return a frame that has more, or others in the place of some."""
+        frame = Frame(**{**self.named, **more})
+        frame.used = self.used
+        return frame
+
+
+class Compiled(NamedTuple):
+    """A function that is compiled by itself: its symbol, and the names of what it takes."""
+
+    symbol: str
+    names: list[str]
+
+
+class Code(Writer):
+    """Writes a function, value by value.
+
+    ``memory`` has ``allocate`` and ``free``; ``context`` is Numba's, where the function is part of one of
+    Numba's. ``compiled`` keeps which functions are compiled by themselves, for all kernels that call them.
+    """
+
+    def __init__(
+        self, builder: Any, memory: Any, compiled: dict[Any, Compiled | None], context: Any = None
+    ) -> None:
+        super().__init__(builder, memory)
+        self._compiled, self._context = compiled, context
+
+    def argument(self, value: Any, type_: Any) -> Any:
+        """Return what an argument of Numba's is here: a list for a tuple, and for an array its words."""
+        if isinstance(type_, types.BaseTuple):
+            own: Any = type_
+            return [self.argument(self.extract_value(value, k), t) for k, t in enumerate(own)]
+        if isinstance(type_, types.Array):
+            assert type_.layout == "C", "words are side by side"
+            return Column(self, arrays().make_array(type_)(self._context, self, value).data, type_.dtype)
+        if type_ == types.boolean:
+            return Value(self, self.zext(value, ir.IntType(8)), types.uint8)
+        return Value(self, value, type_)
+
+    def word(self, type_: Any, number: Value | float) -> Value:
+        """Return a number, or a word, in a type."""
+        return number.to(type_) if isinstance(number, Value) else Value(self, _llvm(type_)(number), type_)
+
+    def operation(self, make: Maker, type_: Any, result: Any, a: Value | int, b: Value | int) -> Value:
+        """Return what an operation makes of two words that are cast to a type."""
+        self.count(operations=1)
+        value = make(self, type_.signed, self.word(type_, a).value, self.word(type_, b).value)
+        return Value(self, value, result)
+
+    def choose(self, type_: Any, flag: Value, a: Value | float, b: Value | float) -> Value:
+        """Return one of two words, by the lowest bit of a flag."""
+        self.count(operations=1)
+        chosen = self.trunc(flag.value, ir.IntType(1))
+        return Value(self, self.select(chosen, self.word(type_, a).value, self.word(type_, b).value), type_)
+
+    def table(self, table: Any) -> Column:
+        """Return the entries of an array, which are constants."""
+        type_ = getattr(types, str(table.dtype))
+        word = _llvm(type_)
+        constant = ir.Constant(ir.ArrayType(word, len(table)), [word(int(entry)) for entry in table])
+        place = ir.GlobalVariable(self.module, constant.type, self.module.get_unique_name("table"))
+        place.global_constant, place.linkage, place.initializer = True, "internal", constant
+        return Column(self, self.bitcast(place, word.as_pointer()), type_)
+
+    def variable(self, start: Value) -> Column:
+        """Return room for one word, which begins as another: what a branch or a turn of a loop changes."""
+        room = Column(self, cgutils.alloca_once(self, start.value.type), start.type)
+        room[0] = start
+        return room
+
+    def range(self, *bounds: Value | int) -> Iterator[Value]:
+        """Write a loop: yields its index, once."""
+        start, stop = map(_number, bounds if len(bounds) == 2 else (0, *bounds))
+        if isinstance(bounds[-1], int):
+            # LLVM would write out every turn of a loop around others; so it is not told how many there are.
+            stop = self.asm(ir.FunctionType(stop.type, [stop.type]), "", "=r,0", [stop], False)
+        loop = self.loop(start, stop)
+        index = Value(self, loop.index, types.int64, lambda: loop.index)
+        index.counts = True
+        yield index
+        loop.close()
+
+    @contextmanager
+    def when(self, flag: Value) -> Iterator[None]:
+        """Write a branch, which is taken unless a word is 0."""
+        with self.if_then(self._is_set(flag)):
+            yield
+
+    @contextmanager
+    def either(self, flag: Value) -> Iterator[Any]:
+        """Write two branches: yields what to enter for each."""
+        with self.if_else(self._is_set(flag)) as branches:
+            yield branches
+
+    def _is_set(self, flag: Value) -> Any:
+        if self.loops:
+            self.loops[-1].whole = True
+        value = flag.value
+        return self.icmp_unsigned("!=", value, value.type(0))
+
+    def address(self, number: Value) -> Column:
+        """Return the bytes at an address."""
+        return Column(self, self.inttoptr(number.value, BYTES), types.uint8)
+
+    @contextmanager
+    def scratch(
+        self, shared: dict[str, tuple[Any, int]], alone: dict[str, tuple[Any, int]]
+    ) -> Iterator[Frame]:
+        """Allocate columns, each of a type and so many words, and free them at the end.
+
+        Those that are ``shared`` lie in one piece of memory, one after the other, each on a cache line of its
+        own.
+        """
+        starts, size = {}, 0
+        for name, (type_, count) in shared.items():
+            starts[name] = size
+            size += -(-count * type_.bitwidth // 8 // LINE) * LINE
+        pieces, room = [], self._piece(size)
+        pieces.append(room[0])
+        columns = {name: room[1].view(type_, starts[name]) for name, (type_, _) in shared.items()}
+        for name, (type_, count) in alone.items():
+            piece, words = self._piece(count * type_.bitwidth // 8)
+            pieces.append(piece)
+            columns[name] = words.view(type_)
+        yield Frame(**columns)
+        for piece in pieces:
+            self.memory.free(self, piece)
+
+    def _piece(self, size: int) -> tuple[Any, Column]:
+        """Allocate bytes; return the address to free, and the bytes from the first cache line on."""
+        number = ir.IntType(64)
+        piece = self.memory.allocate(self, number(size + LINE))
+        # As an offset and not as a rounded address, it is still known to be apart from all other words.
+        offset = self.sub(number(LINE), self.and_(self.ptrtoint(piece, number), number(LINE - 1)))
+        return piece, Column(self, self.gep(piece, [offset]), types.uint8)
+
+    def row(self, words: Column, index: Value, count: int) -> tuple[Any, Any]:
+        """Return some words as an array of Numba's, and its type."""
+        type_ = types.Array(words.type, 1, "C")
+        array, size = (
+            arrays().make_array(type_)(self._context, self),
+            ir.IntType(64)(words.type.bitwidth // 8),
+        )
+        # It owns nothing: the caller of the kernel holds the array.
+        arrays().populate_array(
+            array,
+            data=words.at(index),
+            shape=[ir.IntType(64)(count)],
+            strides=[size],
+            itemsize=size,
+            meminfo=None,
+        )
+        return array._getvalue(), type_
+
+    def call_compiled(self, function: Any, words: Sequence[Value], row: tuple[Any, Any]) -> None:
+        """Call a function that Numba compiles, with words and an array."""
+        self.loops[-1].whole = True
+        type_ = types.Dispatcher(function)
+        taken = *(word.type for word in words), row[1]
+        signature = self._context.typing_context.resolve_function_type(type_, taken, {})
+        write = self._context.get_function(type_, signature)
+        write(self, [*(word.value for word in words), row[0]])
+
+    def inline(self, function: Any, *arguments: Value | Column) -> Any:
+        """Write a function that is plain Python over NumPy's words, and return its results."""
+        named = self._vocabulary
+
+        def meaning(value: Any) -> Any:
+            if isinstance(value, np.ndarray):
+                return self.table(value)
+            return named.get(getattr(value, "__name__", ""), value)
+
+        def with_range(function: Any) -> Any:
+            function.__globals__["range"] = self.range
+            return function
+
+        return rebound(function, meaning, with_range)(*arguments)
+
+    @property
+    def _vocabulary(self) -> dict[str, Any]:
+        """What the names of types and operations stand for in a function that is inlined."""
+        named: dict[str, Any] = {str(t): partial(self.word, t) for t in NUMBERS}
+        named["numpy"] = SimpleNamespace(**named)
+        for t in INTEGERS:
+            named |= {f"{t}_{name}": partial(self.operation, make, t, t) for name, make in ARITHMETIC.items()}
+            named |= {
+                f"{t}_{name}": partial(self.operation, make, t, types.uint8)
+                for name, make in COMPARISONS.items()
+            }
+            named[f"{t}_choose"] = partial(self.choose, t)
+        return named
+
+    def run(self, function: Callable[..., None], frame: Frame, *more: Hashable) -> None:
+        """Write ``function(code, frame, *more)``; where that is long, compile it once, and write its call."""
+        known = function.__qualname__, *more
+        if known not in self._compiled:
+            self._compiled[known] = self._alone(function, frame, *more)
+        compiled = self._compiled[known]
+        if compiled is None:
+            function(self, frame, *more)
+            return
+        values = [_operand(frame.named[name]) for name in compiled.names]
+        takes = ir.FunctionType(FAILED, [value.type for value in values])
+        called = cgutils.get_or_insert_function(self.module, takes, compiled.symbol)
+        failed = self.icmp_unsigned("!=", self.call(called, values), FAILED(0))
+        frame.used.update(compiled.names)
+        with cgutils.if_unlikely(self, failed):
+            self.memory.fail(self)
+
+    def _alone(self, function: Callable[..., None], frame: Frame, *more: Hashable) -> Compiled | None:
+        """Write a function by itself, and compile it if it is long."""
+        names = sorted(frame.named)
+        taken = [_operand(frame.named[name]).type for name in names]
+        alone = ir.Function(ir.Module(), ir.FunctionType(FAILED, taken), "alone")
+        code = Code(ir.IRBuilder(alone.append_basic_block()), _Heap, self._compiled)
+        own = Frame(
+            **{
+                name: type(frame.named[name])(code, argument, frame.named[name].type)
+                for name, argument in zip(names, alone.args, strict=True)
+            }
+        )
+        function(code, own, *more)
+        code.ret(FAILED(0))
+        if sum(len(block.instructions) for block in alone.blocks) < LONG:
+            return None
+        used = [
+            (name, argument) for name, argument in zip(names, alone.args, strict=True) if name in own.used
+        ]
+        for _, argument in used:
+            if isinstance(argument.type, ir.PointerType):
+                # Words are in one array or in another; so LLVM need not find out at each loop.
+                argument.add_attribute("noalias")
+        alone.args = tuple(argument for _, argument in used)
+        symbol = object_code.compiled(str(alone.module), alone.name)
+        return Compiled(symbol, [name for name, _ in used])
 
 
 def _llvm(type_: Any) -> Any:
@@ -211,205 +500,76 @@ def _llvm(type_: Any) -> Any:
     return ir.IntType(1 if type_ == types.boolean else type_.bitwidth)
 
 
-def _number(word: Word | int) -> Any:
-    return word.to(types.int64).value if isinstance(word, Word) else ir.IntType(64)(word)
+def _number(word: Value | int) -> Any:
+    return word.to(types.int64).value if isinstance(word, Value) else ir.IntType(64)(word)
 
 
-def _vocabulary(builder: Writer) -> dict[str, Any]:
-    """Return what the names of types and operations stand for in a function that is being written."""
-
-    def cast(type_: Any, word: Word | float) -> Word:
-        return word.to(type_) if isinstance(word, Word) else Word(builder, _llvm(type_)(word), type_)
-
-    def operation(make: Maker, type_: Any, result: Any, a: Word | int, b: Word | int) -> Word:
-        builder.count(operations=1)
-        value = make(builder, type_.signed, cast(type_, a).value, cast(type_, b).value)
-        return Word(builder, value, result)
-
-    def choose(type_: Any, flag: Word, a: Word | int, b: Word | int) -> Word:
-        builder.count(operations=1)
-        chosen = builder.trunc(flag.value, ir.IntType(1))
-        return Word(builder, builder.select(chosen, cast(type_, a).value, cast(type_, b).value), type_)
-
-    def column(type_: Any, of: Column, start: Word | int, index: Word | int) -> Column:
-        return of.from_byte(type_, start, index)
-
-    def flags(type_: Any, to: Column, index: Word | int, word: Word, count: int) -> None:
-        place = to.written(index)
-        # As a vector: LLVM does not find out by itself that a bit each of a word are numbers side by side.
-        value = builder.trunc(word.value, ir.IntType(count)) if count < word.type.bitwidth else word.value
-        numbers = ir.VectorType(_llvm(type_), count)
-        chosen = builder.select(
-            builder.bitcast(value, ir.VectorType(ir.IntType(1), count)),
-            ir.Constant(numbers, [1] * count),
-            ir.Constant(numbers, [0] * count),
-        )
-        builder.store(chosen, builder.bitcast(place, numbers.as_pointer()), type_.bitwidth // 8)
-
-    def copy(type_: Any, to: Column, of: Column, index: Word, count: int) -> None:
-        # Of a constant length: LLVM makes moves of it as wide as they come, where a loop has a scalar tail.
-        cgutils.raw_memcpy(
-            builder, to.written(index), of.at(index), ir.IntType(64)(count), type_.bitwidth // 8
-        )
-
-    def prefetch(type_: Any, to: Column, index: Word, count: int) -> None:
-        # Words that will be written, of all slots before the first is: so the cache misses overlap.
-        i32, size = ir.IntType(32), count * type_.bitwidth // 8
-        takes = ir.FunctionType(ir.VoidType(), [BYTES, i32, i32, i32])
-        request = builder.module.declare_intrinsic("llvm.prefetch", [BYTES], takes)
-        first = builder.bitcast(to.at(index), BYTES)
-        for byte in (*range(0, size, LINE), size - 1):
-            address = builder.gep(first, [ir.IntType(64)(byte)])
-            builder.call(request, [address, i32(1), i32(3), i32(1)])  # to write, to keep, data
-
-    def turns(*bounds: Word | int) -> Iterator[Word]:
-        start, stop = map(_number, bounds if len(bounds) == 2 else (0, *bounds))
-        if isinstance(bounds[-1], int):
-            # LLVM would write out every turn of a loop around others; so it is not told how many there are.
-            stop = builder.asm(ir.FunctionType(stop.type, [stop.type]), "", "=r,0", [stop], False)
-        loop = builder.loop(start, stop)
-        index = Word(builder, loop.index, types.int64, lambda: loop.index)
-        index.counts = True
-        yield index
-        loop.close()
-
-    named: dict[str, Any] = {str(t): partial(cast, t) for t in NUMBERS}
-    named |= {"numpy": SimpleNamespace(**named), "range": turns}
-    for t in INTEGERS:
-        named |= {f"{t}_{name}": partial(operation, make, t, t) for name, make in ARITHMETIC.items()}
-        named |= {
-            f"{t}_{name}": partial(operation, make, t, types.uint8) for name, make in COMPARISONS.items()
-        }
-    for t in NUMBERS:
-        named |= {f"{t}_choose": partial(choose, t), f"{t}_column": partial(column, t)}
-        named |= {
-            f"{t}_flags": partial(flags, t),
-            f"{t}_copy": partial(copy, t),
-            f"{t}_prefetch": partial(prefetch, t),
-        }
-    return named
-
-
-def _given(builder: Writer, value: Any, type_: Any) -> Word | Column:
-    """Return what an argument is in a function that is being written: of an array, its words."""
-    if isinstance(type_, (types.CPointer, types.Array)):
-        assert getattr(type_, "layout", "C") == "C", "words are side by side"
-        return Column(builder, value, type_.dtype)
-    if type_ == types.boolean:
-        return Word(builder, builder.zext(value, ir.IntType(8)), types.uint8)
-    return Word(builder, value, type_)
-
-
-def _written(function: Any, builder: Writer, arguments: Iterable[Word | Column]) -> tuple[Word, ...]:
-    """Write a function's instructions, and return its results."""
-    vocabulary = _vocabulary(builder)
-
-    def meaning(value: Any) -> Any:
-        if isinstance(value, np.ndarray):
-            return Column.of(builder, value)
-        return vocabulary.get(getattr(value, "__name__", ""), value)
-
-    def with_range(function: Any) -> Any:
-        function.__globals__["range"] = vocabulary["range"]
-        return function
-
-    results = remade(function, meaning, with_range)(*arguments)
-    return results if isinstance(results, tuple) else () if results is None else (results,)
+def _operand(value: Value | Column) -> Any:
+    return value.first if isinstance(value, Column) else value.value
 
 
 class _Heap:
     """Memory of a function that is compiled by itself, which returns 1 where there is none left."""
 
     @staticmethod
-    def allocate(builder: Writer, size: Any) -> Any:
+    def allocate(code: Code, size: Any) -> Any:
         """Return room for so many bytes."""
-        malloc = cgutils.get_or_insert_function(builder.module, ir.FunctionType(BYTES, [size.type]), "malloc")
+        malloc = cgutils.get_or_insert_function(code.module, ir.FunctionType(BYTES, [size.type]), "malloc")
         malloc.return_value.add_attribute("noalias")
-        room = builder.call(malloc, [size])
-        with cgutils.if_unlikely(builder, builder.icmp_unsigned("==", room, BYTES(None))):
-            builder.ret(FAILED(1))
+        room = code.call(malloc, [size])
+        with cgutils.if_unlikely(code, code.icmp_unsigned("==", room, BYTES(None))):
+            _Heap.fail(code)
         return room
 
     @staticmethod
-    def free(builder: Writer, room: Any) -> None:
+    def free(code: Code, room: Any) -> None:
         """Give it back."""
         takes = ir.FunctionType(ir.VoidType(), [BYTES])
-        builder.call(cgutils.get_or_insert_function(builder.module, takes, "free"), [room])
+        code.call(cgutils.get_or_insert_function(code.module, takes, "free"), [room])
+
+    @staticmethod
+    def fail(code: Code) -> None:
+        """Return, since there is no memory left."""
+        code.ret(FAILED(1))
 
 
-def _call(symbol: str, takes: Sequence[Any]) -> Callable[..., Any]:
-    """Return what writes the call of a function that is compiled by itself."""
+class _Numbas:
+    """Memory of a function that is part of one of Numba's."""
 
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        values = []
-        for value, type_, taken in zip(operands, signature.args, takes, strict=True):
-            if isinstance(type_, types.Array):
-                value = builder.bitcast(arrays().make_array(type_)(context, builder, value).data, taken)
-            values.append(value)
-        called = cgutils.get_or_insert_function(builder.module, ir.FunctionType(FAILED, takes), symbol)
-        failed = builder.icmp_unsigned("!=", builder.call(called, values), FAILED(0))
-        with cgutils.if_unlikely(builder, failed):
-            context.call_conv.return_user_exc(builder, MemoryError, ("no room for a kernel's scratch space",))
-        return context.get_dummy_value()
+    def __init__(self, context: Any) -> None:
+        self._context = context
+        self.allocate, self.free = context.nrt.allocate, context.nrt.free
 
-    return generate
+    def fail(self, code: Code) -> None:
+        """Raise, since there is no memory left."""
+        told = ("no room for a kernel's scratch space",)
+        self._context.call_conv.return_user_exc(code, MemoryError, told)
 
 
-def inlined(function: Callable[..., Any]) -> Any:
-    """Return a function for kernels to call, and for other functions that are inlined.
+def written(
+    function: Callable[[Code, dict[str, Any]], Value | None],
+    names: Sequence[str],
+    compiled: dict[Any, Compiled | None],
+) -> Any:
+    """Return a function for Numba's to call, which another one writes.
 
-    Where it is long and returns nothing, it is compiled by itself instead, once for all kernels.
+    That is given its arguments by name: words, columns for arrays, and lists for tuples. What it returns is a
+    ``uint8``, or else 1 is returned.
     """
 
-    def define(_: Any, *given: Any) -> Any:
-        # Written by itself first, to find out how long it is, and the types of its results if it has any.
-        plain = [_llvm(t.dtype).as_pointer() if hasattr(t, "dtype") else _llvm(t) for t in given]
-        alone = ir.Function(ir.Module(), ir.FunctionType(FAILED, plain), "alone")
-        builder = Writer(ir.IRBuilder(alone.append_basic_block()), _Heap)
-        for argument in alone.args:
-            if isinstance(argument.type, ir.PointerType):
-                # Words are in one array or in another; so LLVM need not find out at each loop.
-                argument.add_attribute("noalias")
-        arguments = [_given(builder, *each) for each in zip(alone.args, given, strict=True)]
-        returned = [word.type for word in _written(function, builder, arguments)] if returns else []
-        if not returns:
-            _written(function, builder, arguments)
-            builder.ret(FAILED(0))
-            if sum(len(block.instructions) for block in alone.blocks) >= LONG:
-                return types.none(*given), _call(object_code.compiled(str(alone.module), alone.name), plain)
-
+    def define(_: Any, *taken: Any) -> Any:
         def generate(context: Any, outside: Any, signature: Any, operands: Any) -> Any:
-            builder = Writer(outside, context.nrt)
-            arguments = []
-            for value, type_ in zip(operands, signature.args, strict=True):
-                if isinstance(type_, types.Array):
-                    array = arrays().make_array(type_)(context, builder, value)
-                    arguments.append(_given(builder, array.data, type_))
-                else:
-                    arguments.append(_given(builder, value, type_))
-            values = [word.value for word in _written(function, builder, arguments)]
-            outside.position_at_end(builder.block)
-            if len(values) == 1:
-                return values[0]
-            if not values:
-                return context.get_dummy_value()
-            return context.make_tuple(outside, signature.return_type, values)
+            code = Code(outside, _Numbas(context), compiled, context)
+            arguments = map(code.argument, operands, taken)
+            result = function(code, dict(zip(names, arguments, strict=True)))
+            returned = code.word(types.uint8, 1 if result is None else result).value
+            outside.position_at_end(code.block)
+            return returned
 
-        if not returned:
-            return types.none(*given), generate
-        return (returned[0] if len(returned) == 1 else _Tuple(returned))(*given), generate
+        return types.uint8(*taken), generate
 
-    code = list(dis.get_instructions(function))
-    returns = any(
-        (is_.opname == "RETURN_CONST" and is_.argval is not None)
-        or (is_.opname == "RETURN_VALUE" and (before.opname, before.argval) != ("LOAD_CONST", None))
-        for before, is_ in itertools.pairwise([code[0], *code])
-    )
     # Numba asks for the names of the arguments.
-    own = inspect.signature(function).parameters.values()
-    whole = [inspect.Parameter("_", inspect.Parameter.POSITIONAL_OR_KEYWORD), *own]
+    kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    whole = [inspect.Parameter(name, kind) for name in ("_", *names)]
     define.__signature__ = inspect.Signature(whole)  # type: ignore[attr-defined]
-    define.__name__ = function.__name__
-    result: Any = intrinsic(define)
-    result.py_func = function  # what it is made again from, in functions that call it
-    return result
+    return intrinsic(define)

@@ -2,13 +2,7 @@
 
 Numba computes with 64 bits, and leaves it to LLVM to find out that 8 would do. It does not always, and a loop
 with 64-bit words in it steps an eighth of the slots at a time. So these compute in their own width, to which
-they cast what they are given.
-
-What a loop reads and writes are addresses rather than arrays, whose owners Numba would count: such loops
-compile in less time. ``uint8_column(array, start, index)`` is the address of a word, ``index`` words behind
-byte ``start`` of an array; ``uint8_row(column, index, count)`` makes an array of some words again. Scratch
-space, which begins a cache line, comes from ``allocate(count)`` and goes back by ``release(space)``.
-``address(number)`` is the address of a byte.
+they cast their operands.
 """
 
 from __future__ import annotations
@@ -20,14 +14,8 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
-
-LINE = 64
-"""Bytes of a cache line, where scratch space begins."""
 
 BYTES = ir.IntType(8).as_pointer()
-
-_Address: Any = types.CPointer
 
 Maker = Callable[..., Any]
 
@@ -106,109 +94,11 @@ NUMBERS: list[Any] = [*INTEGERS, *FLOATS]
 
 
 def arrays() -> Any:
-    """Return Numba's module about arrays, which nobody who only imports this package should wait for."""
+    """Return Numba's module about arrays, which takes long to import."""
     return import_module("numba.np.arrayobj")
 
 
-def _first(context: Any, builder: Any, of: Any, whole: Any) -> Any:
-    """Return the address of an array's first byte, or of what an address points to."""
-    data = whole if isinstance(of, types.CPointer) else arrays().make_array(of)(context, builder, whole).data
-    return builder.bitcast(data, BYTES)
-
-
-def _column(element: Any) -> Any:
-    made = _Address(element)
-
-    def column(_: Any, array: Any, start: Any, index: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-            whole, *numbers = operands
-            given = zip(numbers, signature.args[1:], strict=True)
-            byte, word = (context.cast(builder, x, t, types.intp) for x, t in given)
-            at = builder.gep(_first(context, builder, array, whole), [byte])
-            return builder.gep(builder.bitcast(at, context.get_value_type(made)), [word])
-
-        return made(array, start, index), generate
-
-    column.__name__ = f"{element}_column"  # by which functions that are inlined know it
-    return intrinsic(column)
-
-
-def _row(element: Any) -> Any:
-    made = types.Array(element, 1, "C")
-
-    @intrinsic
-    def row(_: Any, first: Any, index: Any, count: Any) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-            pointer, *numbers = operands
-            given = zip(numbers, signature.args[1:], strict=True)
-            word, length = (context.cast(builder, x, t, types.intp) for x, t in given)
-            arrayobj = arrays()
-            view = arrayobj.make_array(made)(context, builder)
-            size = context.get_constant(types.intp, element.bitwidth // 8)
-            # It owns nothing: whoever calls the kernel holds the array.
-            arrayobj.populate_array(
-                view,
-                data=builder.gep(pointer, [word]),
-                shape=[length],
-                strides=[size],
-                itemsize=size,
-                meminfo=None,
-            )
-            return view._getvalue()
-
-        return made(first, index, count), generate
-
-    return row
-
-
-@intrinsic
-def _address(_: Any, number: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        return builder.inttoptr(operands[0], BYTES)
-
-    return _Address(types.uint8)(number), generate
-
-
-@intrinsic
-def _allocate(_: Any, count: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        word = context.get_value_type(types.intp)
-        length = builder.add(context.cast(builder, operands[0], count, types.intp), word(LINE))
-        whole = context.nrt.allocate(builder, length)
-        # As an offset and not as a rounded address, it is still known to be apart from all other words.
-        offset = builder.sub(word(LINE), builder.and_(builder.ptrtoint(whole, word), word(LINE - 1)))
-        first = builder.gep(whole, [offset])
-        builder.store(whole, _kept(builder, first))
-        return first
-
-    return _Address(types.uint8)(count), generate
-
-
-@intrinsic
-def _release(_: Any, first: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        context.nrt.free(builder, builder.load(_kept(builder, *operands)))
-        return context.get_dummy_value()
-
-    return types.none(first), generate
-
-
-def _kept(builder: Any, first: Any) -> Any:
-    """Return where the address is kept that was allocated: before the first line, of which some is left."""
-    return builder.gep(builder.bitcast(first, BYTES.as_pointer()), [ir.IntType(32)(-1)])
-
-
 def operations() -> dict[str, Any]:
-    """Return all operations by their names, for a kernel's source to call."""
-    named = {"address": _address, "allocate": _allocate, "release": _release}
-    for t in NUMBERS:
-        named |= {f"{t}_column": _column(t), f"{t}_row": _row(t)}
-        named |= {f"{t}_{name}": _named(f"{t}_{name}") for name in ("choose", "flags", "copy", "prefetch")}
-    for t in INTEGERS:
-        named |= {f"{t}_{name}": _named(f"{t}_{name}") for name in (*ARITHMETIC, *COMPARISONS)}
-    return named
-
-
-def _named(name: str) -> Any:
-    """Return what only functions that are inlined call: they have the operation for its name."""
-    return SimpleNamespace(__name__=name)
+    """Return what stands for each operation in the golden functions of a kernel: an object with its name."""
+    names = [f"{t}_{name}" for t in INTEGERS for name in (*ARITHMETIC, *COMPARISONS, "choose")]
+    return {name: SimpleNamespace(__name__=name) for name in names}

@@ -18,10 +18,11 @@ from typing import Any
 import numba
 import numpy as np
 
-from pearl_marl.cache import cache_folder, replace
+from pearl_marl.cache import cache_folder
+from pearl_marl.files import write_whole
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.machine_code import kept_code
-from pearl_marl.places import is_librarys
+from pearl_marl.source_lines import is_of_a_library
 
 
 def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
@@ -30,9 +31,9 @@ def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
     content, known = source.encode(), path.exists()
     with contextlib.suppress(OSError):  # people read that file, and nothing else does
         if not known or path.read_bytes() != content:
-            replace(path, content)
+            write_whole(path, content)
     if not known:
-        # It takes seconds: nobody should wonder whether it hangs.
+        # It takes seconds, and should not look as if it hung.
         text = f"pearl: compiling {name} at its first calls; kept in {path.parent}"
         print(text, file=sys.stderr, flush=True)
     # Machine code names the module that it comes from, so the module has to be a real one.
@@ -44,8 +45,8 @@ def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
     return module, path
 
 
-def loop(function: Callable[..., Any], *uses: types.ModuleType) -> Callable[..., Any]:
-    """Compile a function of this package at its first call, and keep it as kernels are kept.
+def compiled_loop(function: Callable[..., Any], *uses: types.ModuleType) -> Callable[[], Callable[..., Any]]:
+    """Return a function that returns a function of this package compiled; it is kept as kernels are kept.
 
     It depends on its own module, and on those that it ``uses``, of which it calls functions.
     """
@@ -61,11 +62,7 @@ def loop(function: Callable[..., Any], *uses: types.ModuleType) -> Callable[...,
         jit = numba.njit(nogil=True, error_model="numpy", fastmath={"contract"})
         return kept_code(jit(getattr(loaded, function.__name__)), name)
 
-    @functools.wraps(function)
-    def call(*given: Any) -> Any:
-        return made()(*given)
-
-    return call
+    return made
 
 
 def with_callees(
@@ -145,7 +142,7 @@ _OF_CLASSES = {"__dict__", "__weakref__", "__doc__", "__module__", "__annotation
 
 
 def _is_authors(module: str | None) -> bool:
-    return not is_librarys(module or "builtins") and not str(module).startswith(("numba.", "pearl_marl."))
+    return not is_of_a_library(module or "builtins") and not str(module).startswith(("numba.", "pearl_marl."))
 
 
 def _parts(code: types.CodeType, scope: dict[str, Any]) -> Iterator[Any]:

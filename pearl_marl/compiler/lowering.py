@@ -1,6 +1,6 @@
 """From the operations of a graph to those of an FPGA: multipliers of its width, and sums that fit a stage.
 
-The result is a graph of the same integers, modulo the bits that somebody uses. ``add``, ``sub``, ``mul``
+The result is a graph of the same integers, modulo the bits that are used. ``add``, ``sub``, ``mul``
 and ``divide`` have become ``sum``, of shifted and signed words and a constant, ``join``, of words side by
 side, and ``mul`` of words that one multiplier takes; ``narrow`` is a ``wrap`` at most, so that every node is
 within its range again, and a division by a word (:mod:`~pearl_marl.compiler.dividing`) a subtraction a bit.

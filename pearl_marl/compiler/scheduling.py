@@ -33,10 +33,10 @@ class Schedule(NamedTuple):
     order: list[Node]
     """The operations, each after what it is made of."""
     used: Mapping[Node, int]
-    """The bits of each node that somebody uses."""
+    """The bits of each node that are used."""
     stage: Mapping[Node, int]
     last: Mapping[Node, int]
-    """The last stage in which somebody uses it."""
+    """The last stage in which it is used."""
     latency: int
     longest: float
     """What the slowest stage's operations take together, in ns."""
@@ -68,10 +68,10 @@ def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
         reach.update(dict.fromkeys((i for i in below if width(order[i], used) == 1), width(node, used)))
     delays = [delay + target.fan_out(reach[i]) for i, delay in enumerate(delays)]
     ends = {number[s] for o in outputs for s in sources[o.node]}
-    apart = _apart(order, arguments, delays, target)
+    gaps = _gaps(order, arguments, delays, target)
     early = [0] * len(order)
     for j, below in enumerate(arguments):
-        later = [early[i] + stages for i, stages in apart[j].items()]
+        later = [early[i] + stages for i, stages in gaps[j].items()]
         early[j] = max([0, *(early[i] for i in below), *later])
     latency = max((early[i] for i in ends), default=0) + 1
     bits = [used[n].bit_count() for n in order]
@@ -82,11 +82,11 @@ def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
     for j in reversed(range(len(order))):
         for i in arguments[j]:
             late[i] = min(late[i], late[j])
-        for i, stages in apart[j].items():
+        for i, stages in gaps[j].items():
             late[i] = min(late[i], late[j] - stages)
     window = list(zip(early, late, strict=True))
     stage = _fewest_registers(
-        arguments, apart, ends, bits, latency, window, before, behind, target.family.shift_register
+        arguments, gaps, ends, bits, latency, window, before, behind, target.family.shift_register
     )
     last = list(stage)
     for j, below in enumerate(arguments):
@@ -101,18 +101,18 @@ def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
     return Schedule(order, used, begins_at, ends_at, latency, max(arrival, default=0.0), target)
 
 
-def _apart(
+def _gaps(
     order: Sequence[Node], arguments: Sequence[Sequence[int]], delays: Sequence[float], target: Target
 ) -> list[dict[int, int]]:
     """Return for each operation those before it that have to be in an earlier stage, and how much earlier."""
-    apart = _too_far(arguments, delays, target.budget)
+    gaps = _too_far(arguments, delays, target.budget)
     if travel := target.family.travel:
         for j, below in enumerate(arguments):
             for i in below:
                 if order[j].op == "mul" or order[i].op == "mul":
                     # The stage of an input does nothing but travel.
-                    apart[j][i] = travel + (order[i].op != "input")
-    return apart
+                    gaps[j][i] = travel + (order[i].op != "input")
+    return gaps
 
 
 def _too_far(
@@ -123,7 +123,7 @@ def _too_far(
     for j, below in enumerate(arguments):
         for i in below:
             users[i].append(j)
-    apart: list[dict[int, int]] = [{} for _ in arguments]
+    gaps: list[dict[int, int]] = [{} for _ in arguments]
     for i in range(len(arguments)):
         longest, queue, done = {i: delays[i]}, [i], set()
         while queue:
@@ -132,17 +132,17 @@ def _too_far(
                 continue
             done.add(j)
             if j != i and longest[j] > budget + 1e-9:
-                apart[j][i] = 1
+                gaps[j][i] = 1
                 continue  # what is beyond it is further still
             for k in users[j]:
                 longest[k] = max(longest.get(k, 0.0), longest[j] + delays[k])
                 heapq.heappush(queue, k)
-    return apart
+    return gaps
 
 
 def _fewest_registers(
     arguments: Sequence[Sequence[int]],
-    apart: Sequence[Mapping[int, int]],
+    gaps: Sequence[Mapping[int, int]],
     ends: set[int],
     bits: Sequence[int],
     latency: int,
@@ -175,7 +175,7 @@ def _fewest_registers(
     rows: list[tuple[list[tuple[int, float]], float]] = []
     for j, below in enumerate(arguments):
         rows += (([(stage[i], 1), (stage[j], -1)], 0) for i in below)
-        rows += (([(stage[i], 1), (stage[j], -1)], -stages) for i, stages in apart[j].items())
+        rows += (([(stage[i], 1), (stage[j], -1)], -stages) for i, stages in gaps[j].items())
     for i in range(count):
         others = sorted(users[i], key=lambda j: window[j])
         if others and i not in ends:
@@ -223,7 +223,7 @@ def _fewest_registers(
     found_at = [math.floor(value + 0.5) for value in found.x[:count]]
     for j, below in enumerate(arguments):
         if any(found_at[i] > found_at[j] for i in below) or any(
-            found_at[i] + stages > found_at[j] for i, stages in apart[j].items()
+            found_at[i] + stages > found_at[j] for i, stages in gaps[j].items()
         ):
             raise DeviceError(
                 "the stages of the core that were found are not in order; ask for another clock"

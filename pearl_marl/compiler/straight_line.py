@@ -22,7 +22,7 @@ from pearl_marl.spec import TERMINATED, EnvSpec, Field
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node, in_order
 from pearl_marl.tracing.operations import bits_of, wrapped
-from pearl_marl.tracing.trace import place, trace
+from pearl_marl.tracing.trace import location, trace
 
 WIDEST = 64
 """Bits of the widest word that a kernel computes with."""
@@ -45,11 +45,11 @@ def golden_functions(spec: EnvSpec) -> list[str]:
     """
     draws = [Field(f"draw_{k}", 32) for k in range(spec.reset_draws + spec.step_draws)]
     reset, step = draws[: spec.reset_draws], draws[spec.reset_draws :]
-    given = [*spec.state, *spec.each_agent(*spec.action_fields), *step]
+    inputs = [*spec.state, *spec.each_agent(*spec.action_fields), *step]
     results = *spec.state, *spec.each_agent(spec.reward), *spec.each_agent(TERMINATED)
     lines = [
         *_function("initial", spec.positional.initial, reset, spec.state),
-        *_function("golden_step", spec.positional.step, given, results),
+        *_function("golden_step", spec.positional.step, inputs, results),
     ]
     for name, agent in zip(observers(spec), spec.views, strict=True):
         lines += _function(name, spec.positional.observe, spec.state, spec.observation, *agent)
@@ -152,7 +152,7 @@ def _is_bit(node: Node) -> bool:
 
 
 def _may_be_no_flag(node: Node) -> bool:
-    """Return whether a flag can be another number where nobody looks: then ``1 | flag`` is no flag either."""
+    """Return whether an unused flag can be another number: then ``1 | flag`` is no flag either."""
     if not node.loose or not node.is_flag:
         return False
     match node.op:
@@ -202,7 +202,7 @@ class _Writer:
             self.names[node] = self._assign(node.name or f"_{node.op}", text)
 
     def operand(self, node: Node, type_: str) -> str:
-        """Return a word as an operation in a type is given it."""
+        """Return a word as an operation in a type takes it."""
         return str(_number(node.imm, type_)) if node.is_constant() else self.names[node]
 
     def _assign(self, name: str, text: str) -> str:
@@ -219,7 +219,7 @@ class _Writer:
         return fresh
 
     def _typed(self, order: Sequence[Node], results: Sequence[tuple[Node, str]]) -> list[Node]:
-        """Choose the type of each operation that somebody needs; return these in order."""
+        """Choose the type of each operation that is needed; return these in order."""
         wanted: dict[Node, int] = {}
 
         def want(node: Node, type_: str) -> None:
@@ -234,7 +234,7 @@ class _Writer:
                 least = wanted[node]
                 if node.op == "left_by":  # by less than its width: all else is undefined
                     least = max(least, node.args[1].high + 1)
-                # What lies beyond the bits that somebody looks at may be anything.
+                # Bits beyond those that are used may be anything.
                 exact = bits == node.bits
                 self.types[node] = (
                     _type(node.low, node.high, least) if exact else _type(0, (1 << bits) - 1, least)
@@ -250,8 +250,8 @@ class _Writer:
     def _possible(self, node: Node, bits: int) -> int:
         if bits > WIDEST:
             raise ArgumentError(
-                f"{place(self._function, node.line)}: {node.name or 'a word'} takes {bits} bits here; a word "
-                f"of a kernel has up to {WIDEST}"
+                f"{location(self._function, node.line)}: {node.name or 'a word'} takes {bits} bits here; "
+                f"a word of a kernel has up to {WIDEST}"
             )
         return bits
 
@@ -294,7 +294,7 @@ class _Writer:
                 return f"{type_}_xor({text}, {_number(-1, type_)})"
             case "mask":
                 return f"{type_}_sub(0, {text})"
-            case "left" if node.imm >= _size(type_):  # nobody looks at the bits above
+            case "left" if node.imm >= _size(type_):  # the bits above are not used
                 return f"np.{type_}(0)"
             case "left":
                 return f"{type_}_left({text}, {node.imm})"
@@ -392,20 +392,20 @@ class _Writer:
             self.tables.append(f"{table} = np.array({entries}, np.{type_})")
             return f"{table}[{index}]"
         size, width = packing
-        least, each, packed = min(node.imm), size // width, f"uint{size}"
+        least, per_number, packed = min(node.imm), size // width, f"uint{size}"
         numbers: dict[int, int] = defaultdict(int)
         for k in possible:
-            numbers[k // each] |= node.imm[k] - least << k % each * width
+            numbers[k // per_number] |= node.imm[k] - least << k % per_number * width
         (common, _), *others = Counter(numbers.values()).most_common()
         number = str(common)
         if others:
-            which = self._assign("_which", f"{own}_right({index}, {each.bit_length() - 1})")
+            which = self._assign("_which", f"{own}_right({index}, {per_number.bit_length() - 1})")
             for k, other in numbers.items():
                 if other != common:
                     chosen = f"{packed}_choose({own}_equal({which}, {k}), {other}, {number})"
                     number = self._assign("_entries", chosen)
-        if len(node.imm) > each or node.args[0].loose:
-            index = f"{own}_and({index}, {each - 1})"
+        if len(node.imm) > per_number or node.args[0].loose:
+            index = f"{own}_and({index}, {per_number - 1})"
         entry = f"{packed}_right({number}, {packed}_left({index}, {width.bit_length() - 1}))"
         entry = f"{packed}_and({entry}, {(1 << width) - 1})"
         return (

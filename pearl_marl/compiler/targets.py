@@ -14,7 +14,7 @@ from pearl_marl.tracing.nodes import Node
 
 
 @dataclass(frozen=True, slots=True)
-class Family:
+class FpgaFamily:
     """The operations of a family of FPGAs."""
 
     register: float
@@ -49,10 +49,10 @@ class Family:
 
 
 FAMILIES = {
-    "ecp5": Family(
+    "ecp5": FpgaFamily(
         register=1.0, level=1.0, carry=0.045, chain=0.9, multiplier=(17, 17), product=5.5, travel=1, small=5
     ),
-    "xc7": Family(
+    "xc7": FpgaFamily(
         register=0.9,
         level=0.8,
         carry=0.03,
@@ -64,7 +64,7 @@ FAMILIES = {
         compared=6,
         shift_register=4,
     ),
-    "gowin": Family(register=1.0, level=1.1, carry=0.05, chain=1.0, multiplier=(17, 17), product=5.5),
+    "gowin": FpgaFamily(register=1.0, level=1.1, carry=0.05, chain=1.0, multiplier=(17, 17), product=5.5),
 }
 
 
@@ -90,7 +90,7 @@ class Target:
             )
 
     @property
-    def family(self) -> Family:
+    def family(self) -> FpgaFamily:
         """What its operations take."""
         return FAMILIES[self.name]
 

@@ -149,7 +149,7 @@ class _Body:
                 remark = written.remarks.get(node) or (f"line {node.line}" if node.line else "")
                 stages[stage] += self._assignment(bits, written.names[node], value, remark)
             for k in range(stage + 1, schedule.last[node] + 1):
-                registers[k].append((bits, written.at(node, k), written.part(node, 0, bits, k - 1)))
+                registers[k].append((bits, written.at(node, k), written.slice(node, 0, bits, k - 1)))
         lines: list[str] = []
         for k in range(schedule.latency + 1):
             if registers[k]:
@@ -206,7 +206,7 @@ class _Body:
         ports: dict[str, list[str]] = defaultdict(list)
         for output in self.outputs:
             ports[output.port].append(
-                self.expressions.part(output.node, 0, output.bits, self.schedule.latency)
+                self.expressions.slice(output.node, 0, output.bits, self.schedule.latency)
             )
         lines = []
         for port, parts in ports.items():

@@ -1,4 +1,4 @@
-"""Which bits of a node somebody uses."""
+"""Which bits of a node are used."""
 
 from __future__ import annotations
 

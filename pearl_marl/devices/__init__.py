@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.step import BatchStep
-from pearl_marl.devices.base import Device
+from pearl_marl.devices.base import Device, Phase
 from pearl_marl.devices.by_name import make_device
 from pearl_marl.devices.cuda import Cuda
 from pearl_marl.devices.lockstep import Lockstep
@@ -43,6 +43,7 @@ __all__ = [
     "Device",
     "Lockstep",
     "Native",
+    "Phase",
     "Ray",
     "Reference",
     "Rtl",

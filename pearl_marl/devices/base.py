@@ -2,13 +2,18 @@
 
 ::
 
-    Device(...)  --open(config)-->  open  --reset(seed)-->  ready  --step(actions)-->  ...
+    NEW --open()--> OPEN --reset()--> READY <--send(), recv()--> STEPPING
+                                      |   ^
+              a call fails under way  |   |  reset(), restore(), recover()
+                                      v   |
+                                     FAILED             from any: --close()--> CLOSED
 
 :class:`Device` does what all devices share; a subclass moves the slots.
 """
 
 from __future__ import annotations
 
+import enum
 import secrets
 import time
 from abc import ABC, abstractmethod
@@ -16,7 +21,7 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -24,20 +29,49 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
 from pearl_marl.batch import rewards as reward_tables
-from pearl_marl.batch.actions import encode, idle_action, refuse_masked, room_for_words
+from pearl_marl.batch.actions import ActionRules, encode, refuse_masked, room_for_words
 from pearl_marl.batch.config import BatchConfig, checked_mask
-from pearl_marl.batch.recycling import Recycler
-from pearl_marl.batch.results import Layout
+from pearl_marl.batch.results import Layout, Recycler
+from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import Array, BatchStep, Seen, on_host
+from pearl_marl.batch.step import Array, BatchStep, Observed, on_host
 from pearl_marl.deferral import uninterrupted
-from pearl_marl.devices.recovery import CheckpointLog, Position
+from pearl_marl.devices import rollouts
+from pearl_marl.devices.recovery import CheckpointLog
 from pearl_marl.devices.threads import Threads
-from pearl_marl.errors import ActionError, ArgumentError, DeviceError, OrderError
+from pearl_marl.errors import ActionError, ArgumentError, DeviceError, OrderError, renamed
+from pearl_marl.policies.device_policy import DevicePolicy
 
 CACHE_BYTES = 1 << 18
 """Results of which two sets may be in use in turns, and still be in a core's second cache."""
+
+
+class Phase(enum.Enum):
+    """What can be done with a device: see :attr:`Device.phase`."""
+
+    NEW = enum.auto()
+    """It has no batch yet: :meth:`Device.open` gives it one."""
+    OPEN = enum.auto()
+    """It has a batch, and no reset has succeeded."""
+    READY = enum.auto()
+    """It can step."""
+    STEPPING = enum.auto()
+    """A step is under way, between :meth:`Device.send` and :meth:`Device.recv`."""
+    FAILED = enum.auto()
+    """A call failed under way, so the state of the slots is unknown; :meth:`Device.recover` goes on."""
+    CLOSED = enum.auto()
+    """It has released everything, and takes no call but :meth:`Device.close`."""
+
+
+class Position(NamedTuple):
+    """What a device knows of its batch besides the slots: where a refused or failed call goes back to."""
+
+    config: BatchConfig
+    seed: tuple[int, int]
+    tick: int
+    reward_table: npt.NDArray[np.float32]
+    phase: Phase
 
 
 class Device(ABC):
@@ -48,6 +82,8 @@ class Device(ABC):
 
     Attributes
     ----------
+    phase
+        What can be done with it now: see :class:`Phase`.
     config
         The batch that it was opened for.
     seed, tick
@@ -57,8 +93,8 @@ class Device(ABC):
     action_masks
         Which actions may be taken in the next step, ``int8`` of shape ``(n, n_actions)``, from the first
         reset on; ``None`` where the environment has no masks. See :class:`BatchStep`.
-    alive
-        Who takes part in it, ``bool`` of shape ``(n,)``.
+    in_episode
+        Which agents take part in it, ``bool`` of shape ``(n,)``.
     made_with
         The attributes that it had before it was opened, which are the settings of a copy.
     """
@@ -84,20 +120,20 @@ class Device(ABC):
     refuses = True
     """Whether masked actions are refused where the spec says so. Tests of devices take any action."""
 
-    known = True
-    """Whether the slots are where the calls so far have brought them: not after a call failed under way."""
-
-    under_way: tuple[Any, Future[BatchStep]] | None = None
-    """Between :meth:`send` and :meth:`recv`: the step's words, and what will have its results."""
-
-    ready = False
-    """Whether the slots have been reset, and not closed, so that they can step."""
+    phase = Phase.NEW
 
     action_masks: Array | None = None
-    alive: Array
+    in_episode: Array
+    alive = renamed("alive", "in_episode")
+    action_rules: ActionRules
 
     config: BatchConfig
-    _closed = False
+
+    _sent: tuple[Any, Future[BatchStep]] | None = None
+    """The words of the step under way, and what will have its results, also after :meth:`close`."""
+
+    stage_seconds: dict[str, float] | None = None
+    """Where each step writes how long its stages took, if steps are timed."""
 
     def open(self, config: BatchConfig, rewards: npt.ArrayLike | None = None) -> Self:
         """Take up a batch of slots; ``rewards`` replaces its reward table, as :meth:`set_rewards` does.
@@ -109,7 +145,7 @@ class Device(ABC):
         DeviceError
             The device is not available.
         """
-        if self._closed or hasattr(self, "config"):
+        if self.phase is not Phase.NEW:
             raise OrderError(f"this {self.name} device has been opened before; make another one")
         if not isinstance(config, BatchConfig):
             raise ArgumentError(f"open() takes a BatchConfig, not {config!r}")
@@ -120,16 +156,20 @@ class Device(ABC):
         self.reward_table = table
         self.seed = (0, 0)
         self.tick = 0
+        self.action_rules = ActionRules.of(
+            config.spec, config.spec.action_space, config.n_agents, config.first_slot
+        )
         self._actions = room_for_words(config.spec, config.n_agents)
-        self.alive = np.ones(config.n_agents, np.bool_)
+        self.in_episode = np.ones(config.n_agents, np.bool_)
         # Of one agent without masks nothing has to be remembered from one step to the next.
         self._remembers = config.spec.agents > 1 or bool(config.spec.mask_fields)
         large = config.copy and self._remembers and Layout(config).size > CACHE_BYTES
         self._copies = Recycler() if large else None
         self._thread = Threads(1, f"pearl-{self.name}")
         # Every step asks for these two, and finds them faster here than on the class.
-        self.under_way = None
+        self.stage_seconds = None
         self.recovery = None if self.recovery_type is None else self.recovery_type(self.checkpoint_every)
+        self.phase = Phase.OPEN
         if rewards is not None:
             try:
                 self._apply_rewards(rewards)
@@ -162,11 +202,13 @@ class Device(ABC):
         chosen = None if mask is None else checked_mask(mask, self.config.n_envs)
         if chosen is not None and seed is not None:
             raise ArgumentError("a seed restarts every slot, so it cannot come with a reset mask")
-        if chosen is not None and not self.ready:
+        if chosen is not None and self.phase is Phase.OPEN:
             raise OrderError("the first reset starts every slot: call reset() without a mask first")
+        if chosen is not None:
+            self.check_not_failed()
         if seed is not None:
             seed = rng.checked_seed(seed)
-        elif not self.ready:
+        elif self.phase is Phase.OPEN:
             seed = secrets.randbits(64)
         words = None if seed is None else rng.seed_words(seed)
         with self._noted("reset", seed, chosen):
@@ -174,8 +216,9 @@ class Device(ABC):
                 self.seed, self.tick = words, 0
             elif chosen is None:
                 self.tick = rng.following(self.tick)  # or every reset would begin the same episodes
-            self.ready = True
-            return self._shown(self._reset(chosen, seed))
+            observed = self._reset(chosen, seed)
+            self.phase = Phase.READY
+            return self._remember(observed)
 
     @uninterrupted
     def step(self, actions: npt.ArrayLike) -> BatchStep:
@@ -194,23 +237,27 @@ class Device(ABC):
         OrderError
             Before the first reset, after ``close``, or between ``send`` and ``recv``.
         """
-        if not self.ready or self.under_way is not None:
+        if self.phase is not Phase.READY:
             self.check_idle("step", ready=True)
-        return self.step_words(self.encoded(actions))
+        return self._take(self.encoded(actions))
 
     @uninterrupted
     def step_words(self, words: Array) -> BatchStep:
         """Step every slot once by its actions' words, as ``room_for_words`` has room for them; unchecked."""
-        recovery, tick = self.recovery, self.tick
-        if recovery is not None:
-            recovery.before(self, "step_words")
-        result = self._step(words)
-        if recovery is not None:
-            self._after("step_words", words)
-        self.tick = rng.following(tick)
-        if self._remembers:
-            self._shown(result.seen)
-        return result
+        if self.phase is not Phase.READY:
+            self.check_idle("step_words", ready=True)
+        return self._take(words)
+
+    def _take(self, words: Array) -> BatchStep:
+        tick = self.tick
+        if self.recovery is not None:
+            self.recovery.before(self, "step_words")
+        try:
+            result = self._step(words) if self.stage_seconds is None else self._timed_step(words)
+        except BaseException:
+            self._step_failed()
+            raise
+        return self._stepped(words, tick, result)
 
     @uninterrupted
     def send(self, actions: npt.ArrayLike) -> None:
@@ -220,59 +267,51 @@ class Device(ABC):
         if self.recovery is not None:
             self.recovery.before(self, "step_words")
         self._sent_at = self.tick
-        self._begin(words)
+        self._sent = self._begin(words)
+        self.phase = Phase.STEPPING
 
     @uninterrupted
     def recv(self) -> BatchStep:
         """Wait for the step that :meth:`send` started and return its results."""
-        if self.under_way is None:
+        if self._sent is None:
             raise OrderError("recv() without a step under way: call send() first")
-        words, step = self.under_way
+        words, step = self._sent
         try:
             result = step.result()
-        finally:
+        except BaseException:
             if step.done():  # or Ctrl-C came first, and the step is still under way
-                self.under_way = None
-        self._after("step_words", words)
-        self.tick = rng.following(self._sent_at)
+                self._sent = None
+                self._step_failed()
+            raise
+        self._sent = None
+        if self.phase is Phase.STEPPING:  # a device that was closed meanwhile stays so
+            self.phase = Phase.READY
+        return self._stepped(words, self._sent_at, result)
+
+    def _stepped(self, words: Array, tick: int, result: BatchStep) -> BatchStep:
+        """Take note of a step from ``tick`` on that has succeeded; return its results."""
+        if self.recovery is not None:
+            self._note("step_words", words)
+        self.tick = (tick + 1) & rng.LAST_TICK
         if self._remembers:
-            self._shown(result.seen)
+            self._remember(result.observed)
         return result
+
+    def _step_failed(self) -> None:
+        if self.phase is not Phase.CLOSED:
+            self.phase = Phase.FAILED if self._may_have_moved() else Phase.READY
 
     def encoded(self, actions: Any) -> Array:
         """Return actions as :meth:`step_words` takes them, in an array of the device's or the given one."""
         try:
             return self._encoded(actions)
         except ActionError:
-            # What a slot is given for a step that it spends resetting is ignored, whatever it is.
-            others = self._without_resetting(actions)
-            if others is None:
+            if self.config.autoreset_mode is not AutoresetMode.NEXT_STEP:
                 raise
-            return self._encoded(others)
-
-    def _without_resetting(self, actions: Any) -> list[Any] | None:
-        """Return actions with possible ones for slots that spend the step resetting; ``None`` if none do."""
-        spec, n = self.config.spec, self.config.n_agents
-        if not isinstance(actions, (list, tuple)):
-            try:
-                actions = np.asarray(actions.cpu() if hasattr(actions, "cpu") else actions)
-            except (TypeError, ValueError):
-                return None
-        if isinstance(actions, np.ndarray):
-            fits = actions.shape == (n, *(spec.action_space.shape or ()))
-        else:
-            fits = len(actions) == n
-        if self.config.autoreset_mode is not AutoresetMode.NEXT_STEP or not fits:
-            return None
-        ended = SlotMemory(spec, self.config.n_envs, self._read()[0]).ended
-        resetting = np.flatnonzero((ended & 1).repeat(spec.agents))
-        if not resetting.size:
-            return None
-        given, masks, least = list(actions), self.action_masks, idle_action(spec.action_space)
-        idle = None if masks is None else on_host(masks).argmax(1)
-        for row in resetting.tolist():
-            given[row] = least if idle is None else idle[row]
-        return given
+        # What a slot is given for a step that it spends resetting is ignored, whatever it is.
+        ended = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).ended
+        resetting = (ended & 1).astype(np.bool_).repeat(self.config.spec.agents)
+        return self._encoded(self.action_rules.with_idle(actions, resetting, self.action_masks))
 
     def _encoded(self, actions: Any) -> Array:
         spec, first = self.config.spec, self.config.first_slot
@@ -282,15 +321,91 @@ class Device(ABC):
             refuse_masked(words, on_host(self.action_masks), first * spec.agents, agents)
         return words
 
-    def _shown(self, seen: Seen) -> Array:
-        """Remember what the next step goes by; return the observations."""
-        obs, self.action_masks, self.alive = seen
+    def _remember(self, observed: Observed) -> Array:
+        """Keep what the next step goes by; return the observations."""
+        obs, self.action_masks, self.in_episode = observed
         if self._copies is not None and isinstance(obs, np.ndarray):
             # To refer to results would keep all the memory that they lie in from being used for the next.
-            self.alive = self._copies.copy(self.alive)
+            self.in_episode = self._copies.copy(self.in_episode)
             if self.action_masks is not None:
                 self.action_masks = self._copies.copy(self.action_masks)
         return obs
+
+    def rollout(
+        self, policy: DevicePolicy, steps: int, record: bool = False, episodes: int | None = None
+    ) -> Rollout:
+        """Step every slot so many times, with the actions of a policy; return what came of it.
+
+        Afterwards everything is as after single steps with these actions. If the call fails, or Ctrl-C ends
+        it, it is as before.
+
+        Parameters
+        ----------
+        policy
+            One for this environment: see :class:`pearl_marl.policies.device_policy.DevicePolicy`.
+        steps
+            How many, at least 1.
+        record
+            Whether to return every step, too, and not only the sums of episodes.
+        episodes
+            How many episodes of each agent count, its first; all, if not given.
+
+        Raises
+        ------
+        ArgumentError
+            The policy is none, or is for another environment, or a number is impossible.
+        OrderError
+            As :meth:`step` does.
+        """
+        self.check_idle("rollout", ready=True)
+        rollouts.check(self.config, policy, steps, record, episodes)
+        saved = self.snapshot()
+        with self._noted("rollout", policy, steps):
+            try:
+                result, observed = self._rollout(policy, steps, record, episodes)
+                self._remember(observed)
+                return result
+            except BaseException:
+                if self.phase is not Phase.FAILED:
+                    self._remember(self._write(saved.memory, saved.stored))
+                raise
+
+    def elements(self) -> Observed:
+        """Return what policies in integers are shown now: observations of shape ``(n_agents, elements)``."""
+        return rollouts.look(self.config, self._read()[0])
+
+    def _rollout(
+        self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
+    ) -> tuple[Rollout, Observed]:
+        """Do a rollout, by single steps unless there is a faster way; return also what is observed last."""
+        elapsed = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).elapsed
+        sums = rollouts.Sums.of(elapsed.repeat(self.config.spec.agents), self.elements().in_episode, episodes)
+        kept = rollouts.Record.of(self.config, steps, policy.logits) if record else None
+        observed = rollouts.by_steps(
+            self.config,
+            policy,
+            steps,
+            sums,
+            kept,
+            self.elements,
+            lambda: (self.seed, self.tick),
+            self._advance,
+        )
+        return sums.result(steps, {} if kept is None else kept.arrays(self.config)), observed
+
+    @uninterrupted
+    def _advance(self, words: Array) -> BatchStep:
+        """Do a step that is not noted for :meth:`recover`."""
+        tick = self.tick
+        try:
+            result = self._step(words)
+        except BaseException:
+            self._step_failed()
+            raise
+        self.tick = (tick + 1) & rng.LAST_TICK
+        if self._remembers:
+            self._remember(result.observed)
+        return result
 
     @uninterrupted
     def set_rewards(self, table: npt.ArrayLike) -> None:
@@ -329,7 +444,7 @@ class Device(ABC):
 
     @uninterrupted
     def shared_snapshot(self) -> SavedState:
-        """Return the same in memory that the next step may change, for who writes it down before."""
+        """Return the same in memory that the next step may change, to be written down before it."""
         self.check_idle("snapshot", ready=True)
         return self.saved(*self._read())
 
@@ -342,7 +457,7 @@ class Device(ABC):
             rewards=tuple(self.rewards.tolist()),
             memory=memory,
             stored=stored,
-            live=memory[:0],
+            present=memory[:0],
         )
 
     @uninterrupted
@@ -356,8 +471,9 @@ class Device(ABC):
         with self._noted("restore", saved):
             self.seed, self.tick = saved.seed, saved.tick
             self.reward_table = reward_tables.padded(self.config.spec, saved.rewards)
-            self.ready = True
-            return self._shown(self._write(saved.memory, saved.stored))
+            observed = self._write(saved.memory, saved.stored)
+            self.phase = Phase.READY
+            return self._remember(observed)
 
     @uninterrupted
     def put(self, start: Mapping[str, Array], mask: npt.ArrayLike | None = None) -> Array:
@@ -385,7 +501,7 @@ class Device(ABC):
         """
         self.check_idle("recover")
         if self.recovery is None:
-            self.check_known()
+            self.check_not_failed()
         else:
             self.recovery.recover(self)
 
@@ -405,58 +521,64 @@ class Device(ABC):
         has ``"compute"`` alone. What is kept for :meth:`recover` is not among them.
         """
         self.check_idle("timed")
-        seconds: dict[str, float] = {}
-        step = self._step
+        if self.stage_seconds is None:
+            self.stage_seconds = {}
+        return self.stage_seconds
 
-        def timed_step(words: Array) -> BatchStep:
-            began = time.perf_counter()
-            result = step(words)
-            seconds.update(self._stages(began, time.perf_counter()))
-            return result
-
-        setattr(self, "_step", timed_step)  # noqa: B010, as mypy takes methods for constants
-        return seconds
+    def _timed_step(self, words: Array) -> BatchStep:
+        assert self.stage_seconds is not None
+        began = time.perf_counter()
+        result = self._step(words)
+        self.stage_seconds.update(self._stages(began, time.perf_counter()))
+        return result
 
     @uninterrupted
     def close(self) -> None:
         """Release what the device holds. Safe to call twice."""
-        if self._closed:
+        if self.phase is Phase.CLOSED:
             return
-        self._closed, self.ready = True, False
-        if hasattr(self, "config"):
+        opened, self.phase = self.phase is not Phase.NEW, Phase.CLOSED
+        if opened:
             self._thread.close()
             self._close()
 
     @property
     def position(self) -> Position:
         """Where the device is: to be assigned again where a call has failed."""
-        return Position(self.config, self.seed, self.tick, self.reward_table, self.ready)
+        return Position(self.config, self.seed, self.tick, self.reward_table, self.phase)
 
     @position.setter
     def position(self, position: Position) -> None:
-        self.config, self.seed, self.tick, self.reward_table, self.ready = position
+        self.config, self.seed, self.tick, self.reward_table, self.phase = position
 
     @property
-    def way_on(self) -> str:
+    def remedy(self) -> str:
         """What to do after a call that failed under way, in words."""
         recover = "" if self.recovery is None else "recover(), or "
         return f"call {recover}reset(), or load a saved state, to go on"
 
-    def check_idle(self, call: str, ready: bool = False) -> None:
-        """Refuse a call that comes at the wrong time; with ``ready``, also before the first reset."""
-        if self._closed:
-            raise OrderError(f"{call}() after close(): make a new environment")
-        if not hasattr(self, "config"):
-            raise OrderError(f"{call}() before open(): this {self.name} device has no batch yet")
-        if ready and not self.ready:
-            raise OrderError(f"{call}() before reset(): call reset() first")
-        if self.under_way is not None:
-            raise OrderError(f"{call}() between send() and recv(): call recv() first")
+    def fail(self) -> None:
+        """Note that the state of the slots is unknown. Before the first reset nothing is lost by that."""
+        if self.phase is not Phase.OPEN:
+            self.phase = Phase.FAILED
 
-    def check_known(self) -> None:
+    def check_idle(self, call: str, ready: bool = False) -> None:
+        """Refuse a call that comes at the wrong time; with ``ready``, also where no step is possible."""
+        if self.phase is Phase.CLOSED:
+            raise OrderError(f"{call}() after close(): make a new environment")
+        if self.phase is Phase.NEW:
+            raise OrderError(f"{call}() before open(): this {self.name} device has no batch yet")
+        if self.phase is Phase.STEPPING:
+            raise OrderError(f"{call}() between send() and recv(): call recv() first")
+        if ready and self.phase is Phase.OPEN:
+            raise OrderError(f"{call}() before reset(): call reset() first")
+        if ready:
+            self.check_not_failed()
+
+    def check_not_failed(self) -> None:
         """Refuse to go on where a call has failed under way."""
-        if not self.known:
-            raise DeviceError(f"a step of the {self.name} device failed before; {self.way_on}")
+        if self.phase is Phase.FAILED:
+            raise DeviceError(f"a step of the {self.name} device failed before; {self.remedy}")
 
     @contextmanager
     def _noted(self, call: str, *arguments: Any) -> Iterator[None]:
@@ -466,28 +588,31 @@ class Device(ABC):
             self.recovery.before(self, call)
         try:
             yield
-            self._after(call, *arguments)
+            self._note(call, *arguments)
         except BaseException:
+            failed = self.phase is Phase.FAILED
             self.position = position
+            if failed:
+                self.fail()
             raise
 
-    def _after(self, call: str, *arguments: Any) -> None:
+    def _note(self, call: str, *arguments: Any) -> None:
         if self.recovery is None:
             return
         try:
             self.recovery.after(self, call, *arguments)
         except BaseException:  # the slots have moved, and that is not noted
-            self.known = False
+            self.phase = Phase.FAILED
             raise
 
     def __getstate__(self) -> dict[str, Any]:
         # A copy is a device of its own that goes on from here: threads, buffers and compiled code stay.
-        if not hasattr(self, "config"):
+        if self.phase is Phase.NEW:
             return {"settings": self.__dict__}
-        saved = self.snapshot() if self.ready else None
+        saved = self.snapshot() if self.phase not in (Phase.OPEN, Phase.CLOSED) else None
         settings = {name: _unopened(value) for name, value in self.made_with.items()}
         state = {"settings": settings, "config": self.config, "rewards": self.reward_table, "saved": saved}
-        return {**state, "closed": self._closed}
+        return {**state, "closed": self.phase is Phase.CLOSED}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state["settings"])
@@ -495,7 +620,7 @@ class Device(ABC):
             config = state["config"]
             if state["closed"]:  # nothing is taken up for that
                 self.made_with, self.config, self.reward_table = state["settings"], config, state["rewards"]
-                self.alive, self._closed = np.ones(config.n_agents, np.bool_), True
+                self.in_episode, self.phase = np.ones(config.n_agents, np.bool_), Phase.CLOSED
                 return
             self.open(config, reward_tables.categories(config.spec, state["rewards"]))
             if state["saved"] is not None:
@@ -506,7 +631,7 @@ class Device(ABC):
         """Get ready to step the slots of ``config``, or raise DeviceError."""
 
     @abstractmethod
-    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
+    def _reset(self, mask: Array | None, seed: int | None) -> Observed:
         """Start the masked slots (all, if ``None``) at ``tick``; return what all agents see then.
 
         ``seed`` is what ``self.seed`` was made from, where the random numbers begin anew.
@@ -519,11 +644,16 @@ class Device(ABC):
         The caller sets ``tick`` to the next one. A device whose slots and tick move at once may have done so.
         """
 
-    def _begin(self, words: Array) -> None:
-        """Start a step whose results :meth:`recv` will ask for."""
-        if words is not self._actions:  # the caller may change his own
+    def _begin(self, words: Any) -> tuple[Any, Future[BatchStep]]:
+        """Start a step whose results :meth:`recv` will ask for; return its words, and what will have them."""
+        if words is not self._actions:  # the caller may change its own
             self._actions[:] = words
-        self.under_way = self._actions, self._thread.submit(self._step, self._actions)
+        step = self._step if self.stage_seconds is None else self._timed_step
+        return self._actions, self._thread.submit(step, self._actions)
+
+    def _may_have_moved(self) -> bool:
+        """Return whether a step that raised an error may have moved slots; the device has failed then."""
+        return False
 
     def _stages(self, began: float, ended: float) -> dict[str, float]:
         """Return the seconds of the last step's stages; it took from ``began`` to ``ended``."""
@@ -534,7 +664,7 @@ class Device(ABC):
         """Return the slots' memory and the stored initial states (empty if random), as bytes."""
 
     @abstractmethod
-    def _write(self, memory: Array, stored: Array) -> Seen:
+    def _write(self, memory: Array, stored: Array) -> Observed:
         """Replace both; return what all agents see then."""
 
     def _apply_rewards(self, table: npt.ArrayLike) -> None:  # noqa: B027, as most use the table itself
@@ -542,7 +672,8 @@ class Device(ABC):
 
     def _apply_limit(self, config: BatchConfig) -> None:
         """Get ready for another time limit, that of ``config``."""
-        if self.ready and not (self.config.limit and config.limit):
+        if self.phase is not Phase.OPEN and not (self.config.limit and config.limit):
+            self.check_not_failed()
             memory, stored = self._read()
             memory = memory.copy()
             SlotMemory(config.spec, config.n_envs, memory).elapsed[:] = 0
@@ -566,7 +697,7 @@ def _unopened(setting: Any) -> Any:
     """Return a setting of a device as it was when that was made: other devices in it without a batch."""
     if isinstance(setting, list):
         return [_unopened(value) for value in setting]
-    if not hasattr(setting, "made_with"):  # no device, or one that is not open
+    if not isinstance(setting, Device) or setting.phase is Phase.NEW:
         return setting
     fresh = object.__new__(type(setting))
     fresh.__dict__.update({name: _unopened(value) for name, value in setting.made_with.items()})

@@ -19,7 +19,7 @@ _BY_NAME = {kind.name: kind for kind in _KINDS}
 
 
 def make_device(device: str | Device, *, tensors: bool = False) -> Device:
-    """Return the device of that name, or the configured device that was given.
+    """Return the device of that name, or the configured device itself.
 
     With ``tensors``, one made by name keeps its results as tensors, if it can.
     """
@@ -55,7 +55,7 @@ def make_distinct(name: str, devices: Sequence[str | Device], use: str) -> list[
 
 
 def make_host_device(device: str | Device) -> Device:
-    """Do the same for whoever works on results with NumPy; refuse a device that keeps them as tensors."""
+    """Do the same, where results are worked on with NumPy; refuse a device that keeps them as tensors."""
     made = make_device(device)
     if made.tensors:
         raise ArgumentError("its results are needed on the host: give Cuda(results='numpy'), or 'cuda'")

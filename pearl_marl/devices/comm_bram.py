@@ -1,4 +1,4 @@
-"""The host's half of the protocol: whatever stands behind a Comm-BRAM becomes a device.
+"""Whatever stands behind a Comm-BRAM becomes a device: the protocol, and the host's mirror of the batch.
 
 ::
 
@@ -14,8 +14,6 @@ kernel as the native device's, from the seed and the tick.
 from __future__ import annotations
 
 import itertools
-import mmap
-import time
 from abc import abstractmethod
 
 import numpy as np
@@ -27,31 +25,17 @@ from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import Array, BatchStep, Seen
+from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.compiler.kernels import compile_kernels
-from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices.base import Device
-from pearl_marl.devices.identity import check_identity
 from pearl_marl.devices.link_rollout import LinkRollout
-from pearl_marl.devices.transport import STAGES, Exchange, Transport, word
+from pearl_marl.devices.transport import STAGES, Protocol, Settings, Transport
 from pearl_marl.errors import DeviceError
-from pearl_marl.hardware.build import Build
-from pearl_marl.hardware.codec import Stream, pack, pack_region, stream_bytes, unpack, unpack_region
-from pearl_marl.memory_map import (
-    ELAPSED_BITS,
-    Control,
-    Doorbell,
-    MemoryMap,
-    Mode,
-    Status,
-    StatusError,
-    ter_bits,
-)
+from pearl_marl.memory_map import ELAPSED_BITS, Doorbell, MemoryMap, Mode
 from pearl_marl.policies.device_policy import DevicePolicy
-from pearl_marl.spec import EnvSpec, Field, word_bits
+from pearl_marl.spec import Field
 
 _ELAPSED = Field("elapsed", ELAPSED_BITS)
-_UNSET = (0, 0, -1, 0, 0)  # settings with a tick that there is none of
 
 
 class CommBram(Device):
@@ -61,77 +45,27 @@ class CommBram(Device):
     saved state, or recovered. ``cycles`` are those from doorbell to last result.
     """
 
-    _cycles = 0
-    _policy: DevicePolicy | None = None
-
     patience = 10.0
     """Seconds to wait at a reset for a step that was left under way, before the hardware is reset."""
-
-    _sequence: int
-    # What the hardware's settings are: seed, tick, first slot, time limit.
-    _held: tuple[int, int, int, int, int]
 
     @abstractmethod
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
         """Return the transport to the hardware, and the memory map that it has to have."""
 
     def _open(self, config: BatchConfig) -> None:
-        spec, n = config.spec, config.n_envs
-        self._transport, self._layout = self._connect(config)
+        transport, layout = self._connect(config)
         try:
-            self._synchronise(spec)
+            self._protocol = Protocol(self.name, config.spec, transport, layout)
+            self._protocol.synchronise(self.patience)
         except BaseException:
-            self._transport.close()
+            transport.close()
             raise
-        self._kernels = compile_kernels(spec)
-        self._results = ResultArrays(config)
-        self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
-        self._repeats = config.initial_states == "stored"
-        self._mode = Mode(0)
-        if self._next_step:
-            self._mode |= Mode.NEXT_STEP
-        if self._repeats:
-            self._mode |= Mode.STORED
-        # Where each slot starts, if those starts are stored; the kernels get it in any case.
-        self._stored = SlotMemory(spec, n)
-        # What the next step has to start afresh.
-        self._resets_all = False
-        self._mask = np.zeros(n, np.bool_)
-        self._make_buffers(spec, n)
-        # After the last step, as the column of that name in the slots' memory.
-        self._ended: Array = np.zeros(n, self._ters.dtype)
-
-    def _make_buffers(self, spec: EnvSpec, n: int) -> None:
-        layout = self._layout
-        self._write_base, self._actions_base = layout["reset_mask"].offset, layout["actions"].offset
-        self._read_base, length = layout.step_read
-        # The codec works on whole 64-bit words, which may reach over the end of a region.
-        self._written = _pages(layout.end("doorbell") - self._write_base + 8)
-        self._answer = _pages(length + 8)
-
-        def stream(buffer: Stream, base: int, name: str) -> Stream:
-            region = layout[name]
-            start = region.offset - base
-            return buffer[start : start + stream_bytes(n, region.slot_bits)]
-
-        self._mask_stream = stream(self._written, self._write_base, "reset_mask")
-        self._action_stream = stream(self._written, self._write_base, "actions")
-        self._obs_stream = stream(self._answer, self._read_base, "observations")
-        self._reward_stream = stream(self._answer, self._read_base, "rewards")
-        self._ter_stream = stream(self._answer, self._read_base, "ters")
-        doorbell = layout["doorbell"].offset - self._write_base
-        self._doorbell = self._written[doorbell : doorbell + 4 * len(Doorbell)].view("<u4")
-        self._exchange = Exchange(self._read_base, self._answer[:-8], layout["status"].offset)
-        agents = n * spec.agents
-        self._obs_words = [np.empty(agents, f.dtype) for f in spec.seen]
-        self._reward_words = np.empty(agents, spec.reward.dtype)
-        self._ter = Field("ter", ter_bits(spec))
-        self._ters = np.empty(n, self._ter.dtype)
+        self._mirror = Mirror(config, self._protocol.end_field)
 
     @property
     def cycles(self) -> int:
         """Clock cycles that the last step took, from doorbell to last result."""
-        return self._cycles
+        return self._protocol.cycles
 
     def timed(self) -> dict[str, float]:
         """Time every stage of every step from now on: see :meth:`Device.timed`.
@@ -139,291 +73,242 @@ class CommBram(Device):
         ``"compute"`` lies between the end of the write and the beginning of the read that had the results.
         """
         seconds = super().timed()
-        self._transport.timed = True
+        self._protocol.transport.timed = True
         return seconds
 
     def _stages(self, began: float, ended: float) -> dict[str, float]:
-        edges = itertools.pairwise((began, *self._transport.times, ended))
+        edges = itertools.pairwise((began, *self._protocol.transport.times, ended))
         return {stage: end - begin for stage, (begin, end) in zip(STAGES, edges, strict=True)}
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
+    def _reset(self, mask: Array | None, seed: int | None) -> Observed:
+        mirror = self._mirror
         if mask is not None:
-            before = self._mask.copy()
-            self._mask |= mask
+            before = mirror.due
+            mirror.due = before | mask
             try:
                 return self._slots()[1]
             except BaseException:
-                self._mask = before
+                mirror.due = before
                 raise
-        self._synchronise(self.config.spec)
         try:
-            self._resets_all = True
-            self._mask[:] = False
-            if self._repeats:
-                every = np.ones(self.config.n_envs, np.bool_)
-                self._start(self._stored, every, self._results.take(), use_stored=False)
-                self._write_region("initial_states", self.config.spec.state, self._stored.state)
+            self._protocol.synchronise(self.patience)
+            mirror.all_due = True
+            mirror.due = np.zeros_like(mirror.due)
+            if mirror.repeats:
+                mirror.draw_starts(self.seed, self.tick)
+                self._protocol.write_region("initial_states", self.config.spec.state, mirror.starts.state)
             return self._slots()[1]
         except BaseException:
-            self.known = False
+            self.fail()
             raise
 
     def _step(self, actions: Array) -> BatchStep:
-        self.check_known()
-        self._write_settings()
-        mode, base = self._mode, self._actions_base
-        if self._resets_all:
-            mode |= Mode.RESET_ALL
-            self._ended[:] = 0
-        elif self._mask.any():
-            mode |= Mode.RESET_MASK
-            self._ended[self._mask] = 0
-            base = self._write_base
-            pack(self._mask.view(np.uint8), 1, self._mask_stream, 1)
-        self._pack(actions)
-        self._do_step(base, mode)
-        results = self._unpack()
-        if self._resets_all or mode & Mode.RESET_MASK:
-            self._resets_all = False
-            self._mask[:] = False
+        protocol, mirror = self._protocol, self._mirror
+        protocol.set(self._settings(self.tick))
+        mode = mirror.begin_due()
+        wrong = protocol.step(mode, actions, mirror.due)
+        if wrong:
+            raise DeviceError(f"the {self.name} device{wrong}; {self.remedy}")
+        tick = (self.tick + 1) & rng.LAST_TICK
+        words = (*protocol.observations, protocol.rewards, protocol.end_bits)
+        results = mirror.results_of(words, self.seed, tick, self.reward_table)
+        mirror.begun(mode)
+        protocol.confirm(self._settings(tick))
         return results
 
-    @uninterrupted
-    def rollout(self, policy: DevicePolicy, steps: int) -> Rollout:
-        """Make many steps with a policy's actions in the hardware; return sums over all agents' episodes.
+    def _may_have_moved(self) -> bool:
+        return self._protocol.unconfirmed
 
-        What follows is as if the steps had been made one by one.
-
-        Raises
-        ------
-        ArgumentError
-            The hardware has no policy engine, or none that takes this policy.
-        """
-        self.check_idle("rollout", ready=True)
-        self.check_known()
-        config = self.config
-        run = LinkRollout.of(policy, self._layout, config.spec, self.rewards, steps, config.limit)
-        if self._mask.any():  # the mask is of one step only
+    def _rollout(
+        self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
+    ) -> tuple[Rollout, Observed]:
+        protocol, mirror, config = self._protocol, self._mirror, self.config
+        if protocol.layout.engine is None or record or episodes is not None:
+            return super()._rollout(policy, steps, record, episodes)
+        run = LinkRollout.of(policy, protocol.layout, config.spec, self.rewards, steps, config.limit)
+        if mirror.due.any():  # the mask is of one step only
             self._write(*self._read())
-        if policy is not self._policy:
-            run.load(self._transport)
-            self._policy = policy
-        self._write_settings()
-        mode = self._mode | (Mode.RESET_ALL if self._resets_all else Mode(0))
-        sequence = (self._sequence + 1) & 0xFFFFFFFF
-        self.known = False
-        result, self._cycles = run.run(self._transport, mode, sequence)
-        self.known = True
-        self._sequence, self._resets_all = sequence, False
-        self.tick = (self.tick + steps) & 0xFFFFFFFFFFFFFFFF
-        self._held = self._settings(self.tick)
-        if self._next_step or config.spec.agents > 1 or config.spec.mask_fields:
-            memory, seen = self._slots()
-            self._ended = SlotMemory(config.spec, config.n_envs, memory).ended.copy()
-            self.alive = seen.alive.copy()
-            self.action_masks = None if seen.action_masks is None else seen.action_masks.copy()
-        return result
+        try:
+            if policy is not protocol.policy:
+                protocol.policy = None  # should the write fail half way
+                run.load(protocol.transport)
+                protocol.policy = policy
+            protocol.set(self._settings(self.tick))
+            mode = mirror.begin_due()
+            protocol.doorbell[Doorbell.SEQUENCE] = sequence = (protocol.sequence + 1) & 0xFFFFFFFF
+            result, cycles = run.run(protocol.transport, mode, sequence)
+            self.tick = (self.tick + steps) & rng.LAST_TICK
+            protocol.confirm_rollout(self._settings(self.tick), cycles)
+            mirror.begun(mode)
+            memory, observed = self._slots()
+            mirror.continue_from(SlotMemory(config.spec, config.n_envs, memory))
+        except DeviceError:
+            self.fail()
+            raise
+        return result, observed
 
-    def _pack(self, actions: Array) -> None:
-        """Bring actions to what is written, each agent's fields side by side."""
-        fields = self.config.spec.action_fields
-        offset, stride = 0, word_bits(fields)
-        for k, field in enumerate(fields):
-            words = actions if len(fields) == 1 else np.ascontiguousarray(actions[:, k])
-            pack(words, field.bits, self._action_stream, stride, offset)
-            offset += field.bits
+    def _slots(self) -> tuple[Array, Observed]:
+        """Return the slots' memory as the native device would have it now, and what agents see."""
+        config, mirror = self.config, self._mirror
+        memory = SlotMemory(config.spec, config.n_envs)
+        starting = np.ones(config.n_envs, np.bool_)
+        if not mirror.all_due:
+            end_bits = np.empty_like(self._protocol.end_bits)
+            fields = (*config.spec.state, self._protocol.end_field)
+            self._protocol.read_region("current_states", fields, [*memory.state, end_bits])
+            self._protocol.read_region("elapsed", (_ELAPSED,), [memory.elapsed])
+            if not config.limit:
+                memory.elapsed[:] = 0
+            starting = mirror.starting(end_bits)
+            memory.ended[:] = mirror.ended_after(end_bits)
+        return memory.bytes, mirror.start(memory, starting, self.seed, self.tick, use_stored=mirror.repeats)
 
-    def _do_step(self, base: int, mode: Mode) -> None:
-        """Ring the doorbell with what is packed, and come back with the results of that step, or not."""
-        sequence = (self._sequence + 1) & 0xFFFFFFFF
-        self._doorbell[Doorbell.MODE] = mode
-        self._doorbell[Doorbell.SEQUENCE] = sequence
-        self.known = False
-        step = self._exchange
-        step.write_at, step.data, step.sequence = base, self._written[base - self._write_base : -8], sequence
-        self._transport.exchange(step)
-        error = step.error
-        if step.finished != sequence and not error & StatusError.RESET:
-            raise DeviceError(
-                f"the {self.name} device's results are stale: they belong to step {step.finished}, "
-                f"not to {sequence}; {self.way_on}"
+    def _read(self) -> tuple[Array, Array]:
+        starts = self._mirror.starts.bytes
+        return self._slots()[0], starts if self._mirror.repeats else starts[:0]
+
+    def _write(self, memory: Array, stored: Array) -> Observed:
+        protocol, mirror = self._protocol, self._mirror
+        spec, slots = self.config.spec, SlotMemory(self.config.spec, self.config.n_envs, memory)
+        try:
+            protocol.synchronise(self.patience)
+            if stored.size:
+                mirror.starts.bytes[:] = stored
+                protocol.write_region("initial_states", spec.state, mirror.starts.state)
+            end_bits = mirror.end_bits_of(slots.ended)
+            protocol.write_region(
+                "current_states", (*spec.state, protocol.end_field), [*slots.state, end_bits]
             )
-        if error:
-            raise DeviceError(
-                f"the {self.name} device reports {error.name or hex(error)}: {_reason(error)}; {self.way_on}"
-            )
-        self.known = True
-        self._sequence = sequence
-        self._held = self._settings(rng.following(self.tick))
-        self._cycles = int(step.status[Status.CYCLES])
+            protocol.write_region("elapsed", (_ELAPSED,), [slots.elapsed])
+            mirror.continue_from(slots)
+            return self._slots()[1]
+        except BaseException:
+            self.fail()
+            raise
 
-    def _unpack(self) -> BatchStep:
-        config, results = self.config, self._results.take()
+    def _settings(self, tick: int) -> Settings:
+        return Settings(*self.seed, tick, self.config.first_slot, self.config.limit)
+
+    def _close(self) -> None:
+        self._protocol.transport.close()
+
+
+class Mirror:
+    """What the host keeps of a batch that is in hardware, to show what the hardware does only later.
+
+    Attributes
+    ----------
+    starts
+        Where each slot starts, if those starts are stored (``repeats``); the kernels get it in any case.
+    all_due, due
+        Which slots the next step has to start afresh: all, or those masked, ``bool`` of shape ``(n_envs,)``.
+    """
+
+    def __init__(self, config: BatchConfig, end_field: Field) -> None:
         spec, n = config.spec, config.n_envs
-        offset, stride = 0, word_bits(spec.seen)
-        for field, words in zip(spec.seen, self._obs_words, strict=True):
-            unpack(self._obs_stream, field.bits, words, stride, offset)
-            offset += field.bits
-        unpack(self._reward_stream, spec.reward.bits, self._reward_words, spec.reward.bits)
-        unpack(self._ter_stream, self._ter.bits, self._ters, self._ter.bits)
+        self._config = config
+        self._kernels = compile_kernels(spec)
+        self._results = ResultArrays(config)
+        self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
+        self.repeats = config.initial_states == "stored"
+        self.starts = SlotMemory(spec, n)
+        self.all_due = False
+        self.due = np.zeros(n, np.bool_)
+        self._mode = Mode(0)
+        if self._next_step:
+            self._mode |= Mode.NEXT_STEP
+        if self.repeats:
+            self._mode |= Mode.STORED
+        # After the last step, as the column of that name in the slots' memory.
+        self._ended: Array = np.zeros(n, end_field.dtype)
+        # The tick as kernels take it: with a sign.
+        self._tick = np.zeros(1, np.uint64)
+        self._signed_tick = self._tick.view(np.int64)
+
+    def begin_due(self) -> Mode:
+        """Take note that the next step starts the slots that are due; return its mode."""
+        if self.all_due:
+            self._ended[:] = 0
+            return self._mode | Mode.RESET_ALL
+        if self.due.any():
+            self._ended[self.due] = 0
+            return self._mode | Mode.RESET_MASK
+        return self._mode
+
+    def begun(self, mode: Mode) -> None:
+        """Take note that a step of this mode has succeeded."""
+        if mode & (Mode.RESET_ALL | Mode.RESET_MASK):
+            self.all_due = False
+            self.due = np.zeros_like(self.due)
+
+    def results_of(
+        self, words: tuple[Array, ...], seed: tuple[int, int], tick: int, reward_table: Array
+    ) -> BatchStep:
+        """Return the results of a step whose words these are: observations, rewards, and bits of ends.
+
+        ``tick`` is the next step's: the episode that begins in the hardware's next step begins here in this.
+        """
+        config, n = self._config, self._config.n_envs
+        results, block = self._results.take_block()
         # What agents that ended before do not get is the host's affair.
-        gone: tuple[Array, ...] = ()
-        if spec.agents > 1:
-            gone = (np.where(self._ended & 1, 0, self._ended).astype(self._ended.dtype),)
-        # The episode that begins in the hardware's next step begins here in this one.
+        absent: tuple[Array, ...] = ()
+        if config.spec.agents > 1:
+            absent = (np.where(self._ended & 1, 0, self._ended).astype(self._ended.dtype),)
+        self._tick[0] = tick
         self._kernels.results(
-            *self._obs_words, self._reward_words, self._ters, *gone, self._stored.bytes, self.reward_table,
-            *results.arrays, *self.seed, rng.signed(rng.following(self.tick)),
-            config.first_slot, self._next_step, self._repeats, n, 0, n,
+            words[:-2], words[-2], (words[-1], *absent), self.starts.bytes, reward_table,
+            tuple(block.arrays), *seed, self._signed_tick[0],
+            config.first_slot, self._next_step, self.repeats, n, 0, n,
         )  # fmt: skip
         if self._next_step:
             results.rewards.reshape(n, -1)[self._ended & 1 != 0] = 0
-        if self._next_step or spec.agents > 1:
-            self._ended = self._ended_after(self._ters)
+        if self._next_step or config.spec.agents > 1:
+            self._ended = self.ended_after(words[-1])
         return results
 
-    def _over(self, ters: Array) -> npt.NDArray[np.bool_]:
-        """Return which slots have ended, by the hardware's bits: by the time limit, or as all agents have."""
+    def draw_starts(self, seed: tuple[int, int], tick: int) -> None:
+        """Draw where each slot starts."""
+        self.start(self.starts, np.ones(self._config.n_envs, np.bool_), seed, tick, use_stored=False)
+
+    def start(
+        self, memory: SlotMemory, mask: Array, seed: tuple[int, int], tick: int, *, use_stored: bool
+    ) -> Observed:
+        """Begin an episode in the masked slots of ``memory``; return what the agents of all slots see."""
+        config, results, n = self._config, self._results.take(), self._config.n_envs
+        memory.elapsed[mask] = 0
+        self._kernels.reset(
+            memory.bytes, self.starts.bytes, mask.view(np.uint8), (results.obs, *results.arrays[5:]), *seed,
+            rng.signed(tick), config.first_slot, use_stored, n, 0, n,
+        )  # fmt: skip
+        return results.observed
+
+    def continue_from(self, slots: SlotMemory) -> None:
+        """Take up slots that the hardware has been given."""
+        self.all_due = False
+        self.due = np.zeros_like(self.due)
+        self._ended = slots.ended.copy()
+
+    def starting(self, end_bits: Array) -> npt.NDArray[np.bool_]:
+        """Return which slots the next step starts afresh, by the hardware's bits after the last one."""
+        return self.due if self._next_step else self.due | self._over(end_bits)
+
+    def _over(self, end_bits: Array) -> npt.NDArray[np.bool_]:
+        """Return which slots have ended: by the time limit, or as all agents have."""
         # An only agent's two bits are more than 0 in either case.
-        over: npt.NDArray[np.bool_] = ters >= (1 << self.config.spec.agents) - 1
+        over: npt.NDArray[np.bool_] = end_bits >= (1 << self._config.spec.agents) - 1
         return over
 
-    def _ended_after(self, ters: Array) -> Array:
+    def ended_after(self, end_bits: Array) -> Array:
         """Return the column ``ended`` of slots with such bits."""
-        over = self._over(ters)
-        if self.config.spec.agents == 1:
+        over = self._over(end_bits)
+        if self._config.spec.agents == 1:
             return (over & self._next_step).view(np.uint8)
-        ended: Array = ters << 1
+        ended: Array = end_bits << 1
         ended[over] = self._next_step
         return ended
 
-    def _ters_of(self, ended: Array) -> Array:
+    def end_bits_of(self, ended: Array) -> Array:
         """Return such bits of slots with this column: the inverse."""
-        ters = ended >> 1
-        ters[ended & 1 != 0] = (1 << self.config.spec.agents) - 1
-        return ters
-
-    def _start(self, memory: SlotMemory, mask: Array, results: BatchStep, *, use_stored: bool) -> None:
-        """Begin an episode in the masked slots of ``memory``; observe all of its slots."""
-        config = self.config
-        n, flags = config.n_envs, mask.view(np.uint8)
-        memory.elapsed[mask] = 0
-        self._kernels.reset(
-            memory.bytes, self._stored.bytes, flags, results.obs, *results.arrays[5:], *self.seed,
-            rng.signed(self.tick), config.first_slot, use_stored, n, 0, n,
-        )  # fmt: skip
-
-    def _slots(self) -> tuple[Array, Seen]:
-        """Return the slots' memory as the native device would have it now, and what agents see."""
-        self.check_known()
-        spec, n = self.config.spec, self.config.n_envs
-        memory = SlotMemory(spec, n)
-        starting = np.ones(n, np.bool_)
-        if not self._resets_all:
-            ters = np.empty(n, self._ter.dtype)
-            self._read_region("current_states", (*spec.state, self._ter), [*memory.state, ters])
-            self._read_region("elapsed", (_ELAPSED,), [memory.elapsed])
-            if not self.config.limit:
-                memory.elapsed[:] = 0
-            starting = self._mask if self._next_step else self._mask | self._over(ters)
-            memory.ended[:] = self._ended_after(ters)
-        results = self._results.take()
-        self._start(memory, starting, results, use_stored=self._repeats)
-        return memory.bytes, results.seen
-
-    def _read(self) -> tuple[Array, Array]:
-        stored = self._stored.bytes
-        return self._slots()[0], stored if self._repeats else stored[:0]
-
-    def _write(self, memory: Array, stored: Array) -> Seen:
-        spec, slots = self.config.spec, SlotMemory(self.config.spec, self.config.n_envs, memory)
-        self._synchronise(spec)
-        try:
-            if stored.size:
-                self._stored.bytes[:] = stored
-                self._write_region("initial_states", spec.state, self._stored.state)
-            ters = self._ters_of(slots.ended)
-            self._write_region("current_states", (*spec.state, self._ter), [*slots.state, ters])
-            self._write_region("elapsed", (_ELAPSED,), [slots.elapsed])
-            self._resets_all = False
-            self._mask[:] = False
-            self._ended = slots.ended.copy()
-            return self._slots()[1]
-        except BaseException:
-            self.known = False
-            raise
-
-    def _write_region(self, name: str, fields: tuple[Field, ...], columns: list[Array]) -> None:
-        region = self._layout[name]
-        self._transport.write(region.offset, pack_region(self._layout, region, fields, columns))
-
-    def _read_region(self, name: str, fields: tuple[Field, ...], columns: list[Array]) -> None:
-        region, data = self._layout[name], np.empty(self._layout.size(name), np.uint8)
-        self._transport.read(region.offset, data)
-        unpack_region(self._layout, region, data, fields, columns)
-
-    def _write_settings(self) -> None:
-        """Bring seed, tick, first slot and time limit to the hardware where it has others."""
-        wanted = self._settings(self.tick)
-        if wanted == self._held:
-            return
-        seed_0, seed_1, tick, first_slot, limit = wanted
-        # From SEED_0 to MAX_CYCLES, as the control region has them.
-        words = np.array([seed_0, seed_1, tick & 0xFFFFFFFF, tick >> 32, first_slot, limit], "<u4")
-        self._held = _UNSET  # should the write fail half way
-        self._transport.write(4 * Control.SEED_0, words.view(np.uint8))
-        self._held = wanted
-
-    def _settings(self, tick: int) -> tuple[int, int, int, int, int]:
-        return (*self.seed, tick, self.config.first_slot, self.config.limit)
-
-    def _synchronise(self, spec: EnvSpec) -> None:
-        """Make sure that the hardware is there and idle, and take up its sequence number.
-
-        Who calls this writes the whole batch afterwards, so a step that does not end may be thrown away.
-        """
-        self.known = False
-        self._transport.reconnect()
-        check_identity(self.name, self._transport, Build(spec, self._layout))
-        self._held, self._policy = _UNSET, None
-        deadline = time.monotonic() + self.patience
-        while (rung := self._word("doorbell", Doorbell.SEQUENCE)) != self._word("status", Status.SEQUENCE):
-            if time.monotonic() > deadline:
-                self._reset_hardware(rung)
-                rung = 0
-                break
-            time.sleep(1e-3)
-        self._sequence = rung
-        self.known = True
-
-    def _reset_hardware(self, rung: int) -> None:
-        """End step ``rung``, which does not end by itself: a core of one's own may be at fault."""
-        self._transport.write(4 * Control.RESET, np.array([1], "<u4").view(np.uint8))
-        deadline = time.monotonic() + self.patience
-        while not self._word("status", Status.ERROR) & StatusError.RESET:
-            if time.monotonic() > deadline:
-                raise DeviceError(
-                    f"the {self.name} device has been busy with step {rung} for {self.patience:g} s, and "
-                    "does not answer a reset; end other programs that use it, check that its clock runs, "
-                    "and try again"
-                )
-            time.sleep(1e-3)
-
-    def _word(self, region: str, index: int) -> int:
-        return word(self._transport, self._layout[region].offset + 4 * index)
-
-    def _close(self) -> None:
-        self._transport.close()
-
-
-def _reason(error: StatusError) -> str:
-    if error & StatusError.RESET:
-        return "it was reset since the last call, and has lost the batch"
-    if error & StatusError.TORN_READ:
-        return "results were read while a step ran"
-    return "something else wrote to it while a step ran"
-
-
-def _pages(size: int) -> Stream:
-    """Return zeroed bytes in memory pages of their own, as direct memory access likes them."""
-    return np.frombuffer(mmap.mmap(-1, size, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS), np.uint8)
+        end_bits = ended >> 1
+        end_bits[ended & 1 != 0] = (1 << self._config.spec.agents) - 1
+        return end_bits

@@ -25,7 +25,7 @@ from pearl_marl.batch.actions import limits
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import Layout, ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory, size
-from pearl_marl.batch.step import Array, BatchStep, Seen, on_host
+from pearl_marl.batch.step import Array, BatchStep, Observed, on_host
 from pearl_marl.compiler.cuda_kernels import THREADS, compile_cuda_kernels, simulated
 from pearl_marl.devices.base import Device
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError
@@ -71,8 +71,8 @@ class Cuda(Device):
             # Masks are looked at on the host, so it has to wait for the actions too.
             actions = on_host(actions) if isinstance(actions, self._torch.Tensor) else actions
             return super().encoded(actions)
-        given = self._on_gpu(actions)
-        return super().encoded(actions) if given is None else given
+        on_gpu = self._on_gpu(actions)
+        return super().encoded(actions) if on_gpu is None else on_gpu
 
     def synchronize(self) -> None:
         """Wait until the GPU has done every step.
@@ -115,48 +115,54 @@ class Cuda(Device):
             self._wrong = self._gpu.to_device(np.array([NOTHING_REFUSED]))
             if self._torch is None:
                 self._arrays = ResultArrays(config)
-                self._layout = self._arrays.layout
-                self._block = self._gpu.device_array(self._layout.size, np.uint8)
-                self._parts = self._layout.pieces(self._block)
-                split = self._layout.starts[4] or self._layout.size
-                self._seen = self._block[:split]  # all but the final observations, if those are apart
+                self._result_layout = self._arrays.layout
+                self._block = self._gpu.device_array(self._result_layout.size, np.uint8)
+                self._pieces = self._result_layout.pieces(self._block)
+                split = self._result_layout.starts[4] or self._result_layout.size
+                # All but the final observations, where those have bytes of their own.
+                self._first_to_host = self._block[:split]
             else:
-                self._layout = Layout(config)
-                self._dtypes = [getattr(self._torch, str(dtype)) for dtype in self._layout.dtypes]
+                self._result_layout = Layout(config)
+                self._dtypes = [getattr(self._torch, str(dtype)) for dtype in self._result_layout.dtypes]
                 self._block = None if config.copy else self._new_block()
                 self._tensors = None if config.copy else self._in_tensors(self._block)
         self._streams: dict[int, Any] = {}
         self._launches: dict[tuple[Any, Any], Any] = {}
         self._uploaded: Array | None = None
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
+    def _reset(self, mask: Array | None, seed: int | None) -> Observed:
         self.synchronize()
         use_stored = self._stored is not self._memory
         with _failures():
-            seen = self._observe(mask, again=use_stored and mask is not None)
+            observed = self._observe(mask, again=use_stored and mask is not None)
             if use_stored and mask is None:
                 self._stored.copy_to_device(self._memory, stream=self._stream())
-        return seen
+        return observed
 
-    def _observe(self, mask: Array | None, again: bool) -> Seen:
+    def _observe(self, mask: Array | None, again: bool) -> Observed:
         """Start the masked slots over (all, if ``None``); return what all agents see."""
         n = self.config.n_envs
         flags = np.ones(n, np.uint8) if mask is None else mask.astype(np.uint8)
         flags = self._gpu.to_device(flags, stream=self._stream())
         block = self._block if self._block is not None else self._new_block()
-        place = (*self._layout.starts[5:], *self.seed, rng.signed(self.tick), self.config.first_slot)
+        position = (
+            *self._result_layout.starts[5:],
+            *self.seed,
+            rng.signed(self.tick),
+            self.config.first_slot,
+        )
         self._launch(
-            self._kernels.reset, self._memory, self._stored, flags, self._array(block), *place, again, n
+            self._kernels.reset, self._memory, self._stored, flags, self._array(block), *position, again, n
         )
         if self._torch is not None:
-            return (self._in_tensors(block) if self._tensors is None else self._tensors).seen
-        memory, results = self._arrays.take_block()
-        for i in (0, *range(5, len(self._parts))):
-            self._parts[i].copy_to_host(self._layout.pieces(memory)[i])
-        return results.seen
+            return (self._in_tensors(block) if self._tensors is None else self._tensors).observed
+        results, host = self._arrays.take_block()
+        for i in (0, *range(5, len(self._pieces))):
+            self._pieces[i].copy_to_host(self._result_layout.pieces(host.memory)[i])
+        return results.observed
 
     def _step(self, actions: Array | _OnGpu) -> BatchStep:
-        config, layout = self.config, self._layout
+        config, layout = self.config, self._result_layout
         with _failures():
             if self._uploaded is not self.reward_table:
                 # Where rewards are computed there is no table, and the kernel does not look.
@@ -178,19 +184,18 @@ class Cuda(Device):
             )
             if self._torch is not None:
                 return self._in_tensors(block) if self._tensors is None else self._tensors
-            memory, results = self._arrays.take_block()
-            self._seen.copy_to_host(memory[: self._seen.size])
+            results, host = self._arrays.take_block()
+            self._first_to_host.copy_to_host(host.memory[: self._first_to_host.size])
             if layout.starts[4] and results.ended.any():
-                self._parts[4].copy_to_host(layout.pieces(memory)[4])
+                self._pieces[4].copy_to_host(layout.pieces(host.memory)[4])
         return results
 
-    def _begin(self, words: Any) -> None:
+    def _begin(self, words: Any) -> tuple[Any, Future[BatchStep]]:
         if isinstance(words, _OnGpu):  # queued here and now, as nothing waits for it
             results: Future[BatchStep] = Future()
             results.set_result(self._step(words))
-            self.under_way = words, results
-        else:
-            super()._begin(words)
+            return words, results
+        return super()._begin(words)
 
     def _read(self) -> tuple[Array, Array]:
         self.synchronize()
@@ -198,7 +203,7 @@ class Cuda(Device):
             memory = self._memory.copy_to_host()
             return memory, memory[:0] if self._stored is self._memory else self._stored.copy_to_host()
 
-    def _write(self, memory: Array, stored: Array) -> Seen:
+    def _write(self, memory: Array, stored: Array) -> Observed:
         with _failures():
             self._memory.copy_to_device(memory, stream=self._stream())
             if stored.size:
@@ -208,7 +213,7 @@ class Cuda(Device):
 
     def _close(self) -> None:
         # What the GPU's memory is known by; it is freed once tensors that were handed out are gone too.
-        for name in ("_memory", "_stored", "_words", "_block", "_tensors", "_parts", "_seen"):
+        for name in ("_memory", "_stored", "_words", "_block", "_tensors", "_pieces", "_first_to_host"):
             self.__dict__.pop(name, None)
 
     def _launch(self, kernel: Any, *arguments: Any) -> None:
@@ -233,7 +238,7 @@ class Cuda(Device):
     def _new_block(self) -> Any:
         where = "cpu" if simulated() else "cuda"
         assert self._torch is not None
-        return self._torch.empty(self._layout.size, dtype=self._torch.uint8, device=where)
+        return self._torch.empty(self._result_layout.size, dtype=self._torch.uint8, device=where)
 
     def _array(self, block: Any) -> Any:
         """Return what a kernel takes for a block or tensor."""
@@ -242,7 +247,7 @@ class Cuda(Device):
         return block.numpy() if simulated() else self._gpu.as_cuda_array(block, sync=False)
 
     def _in_tensors(self, block: Any) -> BatchStep:
-        return self._layout.step(self._layout.arrays(block, self._dtypes))
+        return self._result_layout.step(self._result_layout.arrays(block, self._dtypes))
 
     def _on_gpu(self, actions: Any) -> _OnGpu | None:
         """Return actions that are on the GPU as a kernel takes them; ``None`` for those on the host."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
-from pearl_marl.devices.transport import Transport
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.build import Build
@@ -30,12 +32,15 @@ def identity(build: Build) -> tuple[int, ...]:
     )
 
 
-def check_identity(name: str, transport: Transport, build: Build) -> None:
-    """Refuse hardware that is not what a batch needs; name the first word that differs, and both values."""
+def check_identity(name: str, read: Callable[[int, Any], None], build: Build) -> None:
+    """Refuse hardware that is not what a batch needs; name the first word that differs, and both values.
+
+    ``read`` is a transport's.
+    """
     spec, layout = build
     expected = identity(build)
     found = np.empty(4 * len(_IDENTITY), np.uint8)
-    transport.read(layout["control"].offset, found)
+    read(layout["control"].offset, found)
     for field, mine, theirs in zip(_IDENTITY, expected, found.view("<u4").tolist(), strict=True):
         if theirs != mine:
             show = hex if field in (Control.MAGIC, Control.ENV_HASH) else str
@@ -52,8 +57,8 @@ def _what_differs(field: Control, theirs: int, spec: EnvSpec, layout: MemoryMap)
         ours = layout.n_envs * k
         return f"it is built for {theirs * k:,} agents, not {ours:,}: take as many, or build it anew"
     if field is Control.ENV_HASH:
-        hashes = {elaboration.env_hash(each): each.id for each in known}
-        usual = next((each.options for each in known if each.id == spec.id), {})
+        hashes = {elaboration.env_hash(other): other.id for other in known}
+        usual = next((other.options for other in known if other.id == spec.id), {})
         changed = {name: value for name, value in spec.options.items() if usual.get(name) != value}
         wanted = spec.id + (f" with {changed}" if changed else "")
         held = hashes.get(theirs, "another environment, or one with other options or golden functions")

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.batch.step import Array, BatchStep, Seen
+from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.comparison.divergence import (
     Comparison,
     Divergence,
@@ -19,7 +19,7 @@ from pearl_marl.comparison.divergence import (
     state_words,
 )
 from pearl_marl.comparison.replay import Replay
-from pearl_marl.devices.base import Device, count_or_none
+from pearl_marl.devices.base import Device, Phase, count_or_none
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, LockstepError, PearlError
 from pearl_marl.spec import EnvSpec
@@ -98,22 +98,24 @@ class Lockstep(Device):
             self.device.close()
             raise
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
+    def _reset(self, mask: Array | None, seed: int | None) -> Observed:
         if self._since is not None:  # the first reset of all may have begun different episodes
             self._compare_states()
         copy = None if mask is None else mask.copy()
         return self._restart("reset", lambda device: device.reset(seed, mask), seed=seed, mask=copy)
 
-    def _write(self, memory: Array, stored: Array) -> Seen:
+    def _write(self, memory: Array, stored: Array) -> Observed:
         saved = self.saved(memory, stored)
         return self._restart("restore", lambda device: device.restore(saved), saved)
 
     def _restart(
         self, call: str, begin: Callable[[Device], Array], saved: SavedState | None = None, **arguments: Any
-    ) -> Seen:
+    ) -> Observed:
         """Reset both devices, or restore what was saved, and compare all there is."""
         previous = None if self._since is None else self.reference.snapshot()
-        ours, theirs = self._both(lambda device: Seen(begin(device), device.action_masks, device.alive))
+        ours, theirs = self._both(
+            lambda device: Observed(begin(device), device.action_masks, device.in_episode)
+        )
         found = Comparison()
         found.add(seen_words(self.config.spec, ours, theirs))
         self._add_states(found)
@@ -156,10 +158,10 @@ class Lockstep(Device):
 
     def _change(self, setting: Callable[[Device], None]) -> None:
         """Change what steps depend on; those taken before could not be taken again."""
-        if self.ready:
+        if self.phase is Phase.READY:
             self._compare_states()
         self._both(setting)
-        if self.ready:
+        if self.phase is Phase.READY:
             self._agreed()
 
     def _compare_states(self) -> None:
@@ -184,7 +186,7 @@ class Lockstep(Device):
         try:
             return ours, call(self.reference)
         except PearlError:
-            if self.reference.ready:
+            if self.reference.phase is Phase.READY:
                 self.device.restore(self.reference.snapshot())
             raise
 

@@ -15,27 +15,37 @@ from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import rng
-from pearl_marl.batch.actions import are_words, refusal, room_for_words
+from pearl_marl.batch.actions import are_words, room_for_words
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
+from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.slot_memory import SlotMemory, aligned_bytes, counter_dtype
-from pearl_marl.batch.step import Array, BatchStep, Seen
-from pearl_marl.compiler.block_pieces import BLOCK
-from pearl_marl.compiler.kernel_source import GIVEN, RESULTS
+from pearl_marl.batch.step import Array, BatchStep, Observed
+from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import compile_kernels
-from pearl_marl.deferral import completed
-from pearl_marl.devices.base import Device, count_or_none
+from pearl_marl.deferral import completed, uninterrupted
+from pearl_marl.devices import native_rollout
+from pearl_marl.devices.base import Device, Phase, count_or_none
+from pearl_marl.devices.rollouts import Record, Sums
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ActionError
+from pearl_marl.policies.device_policy import DevicePolicy, elements_of
+from pearl_marl.policies.integer_loops import prepared
+from pearl_marl.policies.integer_network import IntegerNetwork
 
 SLOW_STEP_SECONDS = 300e-6
 """From here on a second thread can pay: handing it work and waiting for it costs about 50 us."""
 
+ROLLOUT_SECONDS = 0.1
+"""How long a part of a rollout takes, between which Ctrl-C has its effect."""
+
 SECONDS_PER_THREAD = 150e-6
 """The least work a thread is taken for."""
 
-_TICK = GIVEN.index("tick")
-_SEEDS = slice(GIVEN.index("seed_0"), GIVEN.index("seed_1") + 1)
+_TICK = STEP_ARGUMENTS.index("tick")
+_SEEDS = slice(STEP_ARGUMENTS.index("seed_0"), STEP_ARGUMENTS.index("seed_1") + 1)
+
+_READY = Phase.READY  # an enum's members are looked up slowly
 
 TRIAL_STEPS = 5
 """Steps in a row that decide: a single one may only have been interrupted."""
@@ -61,36 +71,36 @@ class Native(Device):
 
     @property
     def tick(self) -> int:
-        """See :class:`Device`. It lies in what the kernels are given, which may move it with the slots."""
-        return int(self._given[_TICK])
+        """See :class:`Device`. It is an argument of the kernels, which may move it with the slots."""
+        return int(self._arguments[_TICK])
 
     @tick.setter
     def tick(self, tick: int) -> None:
-        self._given[_TICK] = tick
+        self._arguments[_TICK] = tick
 
     def _open(self, config: BatchConfig) -> None:
         spec, n = config.spec, config.n_envs
         self._results = ResultArrays(config)
         self._slots = SlotMemory(spec, n)
         self._memory = self._slots.bytes
-        self._given = np.zeros(len(GIVEN), np.uint64)
+        self._arguments = np.zeros(len(STEP_ARGUMENTS), np.uint64)
         self._count(config, self._slots.elapsed)
         # Without stored initial states the kernels get the memory itself, and do not look.
         self._stored = SlotMemory(spec, n).bytes if config.initial_states == "stored" else self._memory
-        shown = ("action_masks",) * bool(spec.mask_fields) + ("alive",) * (spec.agents > 1)
-        self._places = np.array([GIVEN.index(name) for name in (*RESULTS, *shown)])
+        more = ("action_masks",) * bool(spec.mask_fields) + ("alive",) * (spec.agents > 1)
+        self._address_of_results = np.array([STEP_ARGUMENTS.index(name) for name in (*RESULTS, *more)])
         self._words = room_for_words(spec, config.n_agents)  # as the kernel takes them
-        # Others are checked by what the kernel does not know: roles, and what was seen before the step. Of a
+        # Others are checked by what the kernel does not know: roles, and masks of before the step. Of a
         # class that does more in a step, the tick moves after that.
         whole = type(self)._step is Native._step
-        self._checks = isinstance(spec.action_space, Discrete) and not shown and whole
-        self._put("memory", self._memory.ctypes.data)
-        self._put("stored", self._stored.ctypes.data)
-        self._put("first_slot", config.first_slot)
-        self._put("next_step", config.autoreset_mode is AutoresetMode.NEXT_STEP)
-        self._put("use_stored", self._stored is not self._memory)
-        self._put("n", n)
-        self._put("checked", self._checks)
+        self._checks = isinstance(spec.action_space, Discrete) and not more and whole
+        self._set("memory", self._memory.ctypes.data)
+        self._set("stored", self._stored.ctypes.data)
+        self._set("first_slot", config.first_slot)
+        self._set("next_step", config.autoreset_mode is AutoresetMode.NEXT_STEP)
+        self._set("use_stored", self._stored is not self._memory)
+        self._set("n", n)
+        self._set("checked", self._checks)
         self._addresses: Array | None = None
         self._seed: tuple[int, int] | None = None
         self._pool = Threads(max(self._threads, _cores()), "pearl-native")
@@ -104,13 +114,13 @@ class Native(Device):
         words = counter_dtype(most)
         self._elapsed = aligned_bytes(config.n_envs * words.itemsize).view(words)
         self._elapsed[:] = elapsed
-        self._put("elapsed", self._elapsed.ctypes.data)
-        self._put("limit", config.limit)
+        self._set("elapsed", self._elapsed.ctypes.data)
+        self._set("limit", config.limit)
         self._kernels = compile_kernels(config.spec, words)
 
-    def _put(self, name: str, value: int) -> None:
-        """Change what every step is given."""
-        self._given[GIVEN.index(name)] = value
+    def _set(self, name: str, value: int) -> None:
+        """Change an argument of every step."""
+        self._arguments[STEP_ARGUMENTS.index(name)] = value
 
     def _run(self, kernel: Any, arguments: tuple[Any, ...]) -> Any:
         """Call ``kernel(*arguments, lo, hi)`` for every range, one of them on this thread.
@@ -131,29 +141,29 @@ class Native(Device):
             task.result()
         return True
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
+    def _reset(self, mask: Array | None, seed: int | None) -> Observed:
         config, stored = self.config, self._stored
         n = config.n_envs
         flags = np.ones(n, np.uint8) if mask is None else mask.astype(np.uint8)
         results = self._results.take()
         use_stored = stored is not self._memory
-        given = self._memory, stored, flags, results.obs
+        observed = results.obs, *results.arrays[5:]
         again = use_stored and mask is not None
-        place = (*self.seed, rng.signed(self.tick), config.first_slot, again, n)
-        self._run(self._kernels.reset, (*given, *results.arrays[5:], *place))
+        position = (*self.seed, rng.signed(self.tick), config.first_slot, again, n)
+        self._run(self._kernels.reset, (self._memory, stored, flags, observed, *position))
         self._elapsed[slice(None) if mask is None else mask] = 0
         if use_stored and mask is None:
             stored[:] = self._read()[0]
-        return results.seen
+        return results.observed
 
     def step(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once; see :meth:`Device.step`."""
         # The kernel looks at the actions itself, where no other thread has begun by then.
-        if not (self.ready and self.under_way is None and self._checks and self._threads == 1):
+        if not (self.phase is _READY and self._checks and self._threads == 1 and self.stage_seconds is None):
             return super().step(actions)
         if not are_words(actions, self._words):
-            return super().step(actions)
-        tick = self._given[_TICK]
+            actions = self.encoded(actions)
+        tick = self._arguments[_TICK]
         try:
             # One call of the kernel moves slots and tick, so that Ctrl-C comes before both or after both.
             return self._step(actions)  # type: ignore[arg-type]
@@ -162,14 +172,15 @@ class Native(Device):
                 raise
             return super().step(actions)  # which looks whether they are of slots that only reset
         except BaseException as error:
-            if self._given[_TICK] != tick:
+            if self._arguments[_TICK] != tick:
                 completed(error, "step")
             raise
 
     def _step(self, actions: Array) -> BatchStep:
-        results, addresses = self._results.take_addressed()
-        began = time.perf_counter()
-        given = self._given
+        results, block = self._results.take_block()
+        addresses = block.addresses
+        began = time.perf_counter() if self._tuning else 0.0
+        arguments = self._arguments
         # They may be results of the last step, which this one writes over, unless they own their memory.
         if (
             actions.base is not None
@@ -180,17 +191,54 @@ class Native(Device):
             actions = self._words
         # For few slots, to write the same again would be a good part of a step.
         if addresses is not self._addresses:
-            given[self._places] = self._addresses = addresses
+            arguments[self._address_of_results] = self._addresses = addresses
         if self.seed is not self._seed:
-            given[_SEEDS] = self._seed = self.seed
+            arguments[_SEEDS] = self._seed = self.seed
         if actions.ndim > 1:  # to the kernel, fields of one agent are like more agents of a slot
             actions = actions.reshape(-1)
-        if not self._run(self._kernels.step, (given, actions, self.reward_table)):
-            space: Any = self.config.spec.action_space
-            raise refusal(actions, space, len(actions), self.config.first_slot)
+        if not self._run(self._kernels.step, (arguments, actions, self.reward_table)):
+            raise self.action_rules.refusal(actions)
         if self._tuning:
             self._tune(time.perf_counter() - began)
         return results
+
+    def _rollout(
+        self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
+    ) -> tuple[Rollout, Observed]:
+        if not isinstance(policy, IntegerNetwork):
+            return super()._rollout(policy, steps, record, episodes)
+        config, spec = self.config, self.config.spec
+        kernel = native_rollout.kernel(compile_kernels(elements_of(spec), self._elapsed.dtype))
+        network = prepared(policy)
+        sums = Sums.of(self._elapsed.repeat(spec.agents), self.in_episode, episodes)
+        kept = Record.of(config, steps if record else 0, policy.logits)
+        actions = np.zeros((config.n_agents, len(spec.action_fields)), spec.action_dtype)
+        done, some = 0, 1
+        while done < steps:
+            some = min(some, steps - done)
+            began = time.perf_counter()
+            part = kept.part(done, done + some)
+            self._run_rollout(kernel, (network, actions), (sums, part, spec.agents, some))
+            done += some
+            seconds = time.perf_counter() - began
+            # Between two parts Ctrl-C has its effect.
+            some = max(1, int(some * min(8.0, ROLLOUT_SECONDS / max(seconds, 1e-6))))
+        observed = self._reset(np.zeros(config.n_envs, np.bool_), None)
+        return sums.result(steps, kept.arrays(config) if record else {}), observed
+
+    @uninterrupted
+    def _run_rollout(self, kernel: Any, first: tuple[Any, ...], last: tuple[Any, ...]) -> None:
+        """Do some steps of a rollout."""
+        elements, masks, in_episode = self.elements()
+        if masks is None:
+            masks = np.zeros((0, 0), np.int8)
+        self._arguments[_SEEDS] = self._seed = self.seed
+        arguments = self._arguments.copy()
+        arguments[STEP_ARGUMENTS.index("checked")] = 0
+        self._run(
+            kernel, (arguments, self.reward_table, *first, elements, masks, in_episode.view(np.uint8), *last)
+        )
+        self.tick = (self.tick + last[-1]) & rng.LAST_TICK
 
     def _tune(self, seconds: float) -> None:
         """Learn from one step's time: take more threads for long steps, keep them if they help."""
@@ -212,7 +260,7 @@ class Native(Device):
         self._slots.elapsed[:] = self._elapsed
         return self._memory, self._stored if self._stored is not self._memory else self._memory[:0]
 
-    def _write(self, memory: Array, stored: Array) -> Seen:
+    def _write(self, memory: Array, stored: Array) -> Observed:
         self._memory[:] = memory
         self._count(self.config, self._slots.elapsed)
         if stored.size:

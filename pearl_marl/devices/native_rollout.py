@@ -6,54 +6,40 @@ import hashlib
 import inspect
 from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numba
 import numpy as np
 
 from pearl_marl import rng
-from pearl_marl.batch.step import Array
-from pearl_marl.compiler.block_pieces import BLOCK
-from pearl_marl.compiler.kernel_source import GIVEN
-from pearl_marl.compiler.kernels import DRAWING, Kernels
+from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
+from pearl_marl.compiler.kernels import Kernels
 from pearl_marl.compiler.loading import load, with_callees
 from pearl_marl.machine_code import kept_code
 from pearl_marl.policies import device_policy, integer_loops, integer_network
-from pearl_marl.policies.integer_loops import Prepared
+from pearl_marl.policies.device_policy import FIRST_DRAW
+from pearl_marl.policies.integer_loops import compiled_act
+from pearl_marl.rng import CHAIN_A, CHAIN_B
 
-_PLACES = {name: GIVEN.index(name) for name in GIVEN}
+TICK, SEED_0, SEED_1, FIRST_SLOT, NEXT_STEP = map(
+    STEP_ARGUMENTS.index, ("tick", "seed_0", "seed_1", "first_slot", "next_step")
+)
+OBSERVATIONS, REWARDS, TERMINATIONS, TRUNCATIONS, FINAL = map(STEP_ARGUMENTS.index, RESULTS)
+MASKS, ALIVE = map(STEP_ARGUMENTS.index, ("action_masks", "alive"))
 
+act: Any = None
+step: Any = None
+"""The policy and the kernel that a rollout is compiled with."""
 
-class Sums(NamedTuple):
-    """What a rollout adds up, an element an agent."""
-
-    running: Array  # float64: the return of the episode so far
-    length: Array  # int64: its steps so far
-    whole: Array  # uint8: whether it began in the rollout or with it
-    waiting: Array  # uint8: whether the agent has ended before its world
-    returns: Array  # float64
-    squares: Array  # float64
-    lengths: Array  # int64
-    ended: Array  # int64
-    truncated: Array  # int64
-
-
-class Record(NamedTuple):
-    """Where every step of a rollout goes, a row a step; arrays of no rows where none is wanted."""
-
-    elements: Array
-    masks: Array
-    actions: Array
-    rewards: Array
-    terminations: Array
-    truncations: Array
-    logits: Array
+_jit: Any = numba.njit(error_model="numpy")
+key, draw = (with_callees(function, {}, _jit) for function in (rng.key, rng.draw))
 
 
-def _rollout(given, table, net, actions, elements, masks, alive, sums, record, agents, steps, lo, hi):  # type: ignore[no-untyped-def]
+def rollout(arguments, table, net, actions, elements, masks, in_episode, sums, record, agents, steps, lo, hi):  # type: ignore[no-untyped-def]
+    """Roll out the slots of a range: see :func:`kernel`."""
     # Everything of a block lies in these, which every step writes over.
     rows, width = BLOCK * agents, elements.shape[1]
-    seen, final = np.empty((rows, width), elements.dtype), np.empty((rows, width), elements.dtype)
+    shown, final = np.empty((rows, width), elements.dtype), np.empty((rows, width), elements.dtype)
     allowed = np.empty((rows if masks.shape[0] else 0, masks.shape[1]), masks.dtype)
     present = np.ones(rows, np.uint8)
     rewards = np.empty(rows, np.float32)
@@ -62,23 +48,21 @@ def _rollout(given, table, net, actions, elements, masks, alive, sums, record, a
     words = np.empty((rows, actions.shape[1]), np.int64)
     keep = len(record.rewards) > 0
     logits = np.empty((rows if keep else 0, record.logits.shape[2]), np.int32)
-    filtered = np.zeros(max(1, integer_loops_filtered(net)), np.int32)
-    room = room_for(net)
     keys = np.empty((agents, max(net.draws, 1), 2), np.uint32)
-    mine = given.copy()
-    began = given[TICK]
+    mine = arguments.copy()
+    began = arguments[TICK]
     for b in range(lo, hi, BLOCK):
         e = min(b + BLOCK, hi)
         n, first = (e - b) * agents, b * agents
         for i in range(n):
             for k in range(width):
-                seen[i, k] = elements[first + i, k]
-            present[i] = alive[first + i]
+                shown[i, k] = elements[first + i, k]
+            present[i] = in_episode[first + i]
             for k in range(allowed.shape[1]):
                 allowed[i, k] = masks[first + i, k]
         # Kernels add to an address what lies before a block; so these begin before their arrays.
-        mine[OBSERVATIONS] = np.uint64(seen.ctypes.data) - np.uint64(first * width * seen.itemsize)
-        mine[FINAL] = np.uint64(final.ctypes.data) - np.uint64(first * width * seen.itemsize)
+        mine[OBSERVATIONS] = np.uint64(shown.ctypes.data) - np.uint64(first * width * shown.itemsize)
+        mine[FINAL] = np.uint64(final.ctypes.data) - np.uint64(first * width * shown.itemsize)
         mine[REWARDS] = np.uint64(rewards.ctypes.data) - np.uint64(first * 4)
         mine[TERMINATIONS] = np.uint64(terminations.ctypes.data) - np.uint64(first)
         mine[TRUNCATIONS] = np.uint64(truncations.ctypes.data) - np.uint64(first)
@@ -93,28 +77,25 @@ def _rollout(given, table, net, actions, elements, masks, alive, sums, record, a
                 for agent in range(agents):
                     for d in range(net.draws):
                         index = np.uint32(FIRST_DRAW + agent * net.draws + d)
-                        seed_0, seed_1 = np.uint32(given[SEED_0]), np.uint32(given[SEED_1])
+                        seed_0, seed_1 = np.uint32(arguments[SEED_0]), np.uint32(arguments[SEED_1])
                         keys[agent, d, 0] = key(np.uint32(CHAIN_A), seed_0, seed_1, tick, index)
                         keys[agent, d, 1] = key(np.uint32(CHAIN_B), seed_0, seed_1, tick, index)
                 for i in range(n):
-                    slot = np.uint32(given[FIRST_SLOT] + np.uint64(b + i // agents))
+                    slot = np.uint32(arguments[FIRST_SLOT] + np.uint64(b + i // agents))
                     for d in range(net.draws):
                         draws[i, d] = draw(slot, keys[i % agents, d, 0], keys[i % agents, d, 1])
-            for start in range(0, n, TILE):
-                some = min(TILE, n - start)
-                add_up(net, seen, start, some, start % agents, room, filtered)
-                choose_words(net, room.sums, start, some, allowed, draws, words, logits)
+            act(net, shown[:n], allowed[: n * min(len(allowed), 1)], draws[:n], words[:n], logits)
             for i in range(n):
                 for k in range(actions.shape[1]):
                     actions[first + i, k] = words[i, k]
             if keep:
                 for i in range(n):
                     for k in range(width):
-                        record.elements[t, first + i, k] = seen[i, k]
+                        record.elements[t, first + i, k] = shown[i, k]
                     for k in range(allowed.shape[1]):
                         record.masks[t, first + i, k] = allowed[i, k]
                     for k in range(actions.shape[1]):
-                        record.actions[t, first + i, k] = words[i, k]
+                        record.words[t, first + i, k] = words[i, k]
                     for k in range(logits.shape[1]):
                         record.logits[t, first + i, k] = logits[i, k]
             step(mine, actions.reshape(-1), table, b, e)
@@ -126,7 +107,7 @@ def _rollout(given, table, net, actions, elements, masks, alive, sums, record, a
                 sums.running[agent] += rewards[i]
                 sums.length[agent] += 1
                 if terminations[i] | truncations[i]:
-                    if sums.whole[agent]:
+                    if sums.whole[agent] and sums.ended[agent] < sums.most[agent]:
                         total = sums.running[agent]
                         sums.returns[agent] += total
                         sums.squares[agent] += total * total
@@ -134,7 +115,7 @@ def _rollout(given, table, net, actions, elements, masks, alive, sums, record, a
                         sums.ended[agent] += 1
                         sums.truncated[agent] += 1 - terminations[i]
                     sums.running[agent], sums.length[agent], sums.whole[agent] = 0.0, 0, 1
-                    sums.waiting[agent] = 1 - present[i]
+                    sums.waiting[agent] = 1 if arguments[NEXT_STEP] else 1 - present[i]
             if keep:
                 for i in range(n):
                     record.rewards[t, first + i] = rewards[i]
@@ -143,51 +124,21 @@ def _rollout(given, table, net, actions, elements, masks, alive, sums, record, a
 
 
 @cache
-def _compiled(kernels: Kernels) -> Callable[..., None]:
-    texts = [inspect.getsource(part) for part in (_rollout, integer_loops, integer_network, device_policy, rng)]
+def kernel(kernels: Kernels) -> Callable[..., None]:
+    """Return the rollout of some kernels, whose observations are elements.
+
+    It is called as ``rollout(arguments, table, net, actions, elements, masks, in_episode, sums, record,
+    agents, steps, lo, hi)`` for the slots of a range. ``arguments`` and ``table`` are what the kernel
+    ``step`` takes, whose addresses of results are replaced; ``elements``, ``masks`` and ``in_episode`` are
+    what agents are shown now; ``actions`` is written over; ``sums`` and ``record`` are
+    :class:`~pearl_marl.devices.rollouts.Sums` and :class:`~pearl_marl.devices.rollouts.Record`.
+    """
+    texts = [
+        inspect.getsource(part) for part in (rollout, integer_loops, integer_network, device_policy, rng)
+    ]
     digest = hashlib.sha256(repr((kernels.path.name, texts, numba.__version__, np.__version__)).encode())
     name = f"rollout_{kernels.path.stem.rpartition('_')[0]}_{digest.hexdigest()[:16]}"
-    jit = numba.njit(error_model="numpy", no_cfunc_wrapper=True)
-    drawing = {name: with_callees(function, {}, jit) for name, function in DRAWING.items()}
-    names: dict[str, Any] = {
-        **drawing,
-        "step": kernels.step,
-        "BLOCK": BLOCK,
-        "TILE": integer_loops.TILE,
-        "FIRST_DRAW": device_policy.FIRST_DRAW,
-        "CHAIN_A": rng.CHAIN_A,
-        "CHAIN_B": rng.CHAIN_B,
-        **{constant: _PLACES[name] for constant, name in _CONSTANTS.items()},
-        **{used: getattr(integer_loops, used) for used in ("add_up", "choose_words", "room_for")},
-        "integer_loops_filtered": integer_loops.filtered_size,
-    }
-    loaded, _ = load(name, inspect.getsource(_rollout), **names)
-    return kept_code(numba.njit(nogil=True, error_model="numpy")(loaded._rollout), name)  # type: ignore[no-any-return]
-
-
-_CONSTANTS = {
-    "TICK": "tick",
-    "SEED_0": "seed_0",
-    "SEED_1": "seed_1",
-    "FIRST_SLOT": "first_slot",
-    "OBSERVATIONS": "observations",
-    "FINAL": "final_observations",
-    "REWARDS": "rewards",
-    "TERMINATIONS": "terminations",
-    "TRUNCATIONS": "truncations",
-    "MASKS": "action_masks",
-    "ALIVE": "alive",
-}
-
-
-def rollout_kernel(kernels: Kernels) -> Callable[..., None]:
-    """Return the rollout of some kernels.
-
-    It is called as ``rollout(given, table, net, actions, elements, masks, alive, sums, record, agents, steps, lo, hi)``
-    for the slots of a range, with ``given`` and ``table`` as the kernel ``step`` takes them, whose addresses of results
-    it replaces by its own.
-    """
-    return _compiled(kernels)
-
-
-__all__ = ["Prepared", "Record", "Sums", "rollout_kernel"]
+    known = {name: value for name, value in globals().items() if not name.startswith("__")}
+    names = {**known, "act": compiled_act(), "step": kernels.step}
+    loaded, _ = load(name, inspect.getsource(rollout), **names)
+    return kept_code(numba.njit(nogil=True, error_model="numpy")(loaded.rollout), name)  # type: ignore[no-any-return]

@@ -30,11 +30,11 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.rewards import categories
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.batch.step import Array, BatchStep, Seen
+from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.kernels import kernel_name
 from pearl_marl.devices import cluster
-from pearl_marl.devices.base import Device
+from pearl_marl.devices.base import Device, Phase
 from pearl_marl.devices.by_name import make_distinct
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.sharded import Sharded
@@ -53,7 +53,7 @@ class _ShardLogs(CheckpointLog):
 
     def before(self, device: Any, call: str) -> None:
         """Mark the moment to go back to, unless there is one already."""
-        if device.known:
+        if device.phase is not Phase.FAILED:
             for part in device.parts:
                 part.recovery.mark()
 
@@ -62,10 +62,15 @@ class _ShardLogs(CheckpointLog):
 
     def recover(self, device: Any) -> None:
         """Bring every shard to the mark; see :meth:`Device.recover`."""
+        if device.phase is Phase.OPEN:
+            raise DeviceError(
+                f"the {device.name} device keeps nothing to recover from, as no reset has succeeded: "
+                "call reset(), or load a saved state"
+            )
         self.before(device, "recover")
-        device.known = False
+        device.fail()
         device.on_all(lambda part, _: part.recovery.rewind(part))
-        device.known = True
+        device.phase = Phase.READY
 
 
 class Ray(Sharded):
@@ -149,10 +154,10 @@ class _Shard(Device):
                 f"the actor of a shard ({self.name}) was lost while it started: {error}"
             ) from error
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
+    def _reset(self, mask: Array | None, seed: int | None) -> Observed:
         keeps = mask is None and self.checkpoint_every is not None
-        seen, self._fresh = self._ask("reset", seed, mask, keeps, anew=seed is not None)
-        return seen  # type: ignore[no-any-return]
+        observed, self._fresh = self._ask("reset", seed, mask, keeps, anew=seed is not None)
+        return observed  # type: ignore[no-any-return]
 
     def _step(self, actions: Array) -> BatchStep:
         # Observations may be of a narrower dtype here; Sharded writes them into arrays of the space's.
@@ -171,7 +176,7 @@ class _Shard(Device):
             fresh = saved.memory, saved.stored
         return fresh
 
-    def _write(self, memory: Array, stored: Array) -> Seen:
+    def _write(self, memory: Array, stored: Array) -> Observed:
         saved = self.saved(memory, stored)
         return self._ask("restore", self.config.max_cycles, saved, anew=True)  # type: ignore[no-any-return]
 
@@ -193,19 +198,19 @@ class _Shard(Device):
             try:
                 if self._actor is None:
                     self._start(self.config, categories(self.config.spec, self.reward_table))
-                    if not anew and self.ready:
+                    if not anew and self.phase is not Phase.OPEN:
                         self._catch_up()
                 return cluster.get(getattr(self._actor, call).remote(*arguments))
             except cluster.lost() as error:
                 self._drop()
-                if self._reviving:  # whoever revives it counts
+                if self._reviving:  # the call that revives it counts
                     raise
                 if not tries_left:
                     first = self.config.first_slot
                     raise DeviceError(
                         f"the actor of slots {first} to {first + self.config.n_envs - 1} ({self.name}) was "
                         f"lost {TRIES} times in a row, at last by: {str(error).strip()}\nLook for what ends "
-                        f"it (often memory: `ray status`, `ray memory`), then {self.way_on}"
+                        f"it (often memory: `ray status`, `ray memory`), then {self.remedy}"
                     ) from error
         raise AssertionError("unreachable")
 
@@ -213,7 +218,7 @@ class _Shard(Device):
         """Start an actor and open the device there."""
         actor = cluster.start_actor(_Host, resources=self._resources)
         try:
-            cluster.get(actor.open.remote(parcel(config.spec, self._device, config), rewards))
+            cluster.get(actor.open.remote(pack(config.spec, self._device, config), rewards))
         except BaseException:
             cluster.kill(actor)
             raise
@@ -241,17 +246,17 @@ class _Shard(Device):
 class _Host:
     """What an actor is: a device, and the calls of a :class:`_Shard`."""
 
-    def open(self, parcel: Parcel, rewards: Array | None) -> None:
+    def open(self, packed: Packed, rewards: Array | None) -> None:
         """Open the device; refuse an environment that is not that of the other side."""
-        device, config = contents(parcel)[1:]
-        self._travelling = travelling(config.spec)
+        device, config = unpacked(packed)[1:]
+        self._wire_dtype = wire_dtype(config.spec)
         device.checkpoint_every = None  # what is kept here would be lost with the actor
         self._device: Device = device.open(config, rewards)
 
     def step(self, words: Array) -> tuple[Array | None, ...]:
         """Step; return results in as few bytes as they need.
 
-        Observations come in the dtype of :func:`travelling`, and final ones only of agents that ended, one
+        Observations come in the dtype of :func:`wire_dtype`, and final ones only of agents that ended, one
         after the other (``None`` in NEXT_STEP mode of one agent, where they are the observations).
         """
         # What came through Ray may be read-only, for which kernels would be compiled once more.
@@ -259,34 +264,34 @@ class _Host:
         ends = None
         config = self._device.config
         if config.autoreset_mode is AutoresetMode.SAME_STEP or config.spec.agents > 1:
-            ends = results.final_obs[results.ended].astype(self._travelling, copy=False)
-        obs = results.obs.astype(self._travelling, copy=False)
+            ends = results.final_obs[results.ended].astype(self._wire_dtype, copy=False)
+        obs = results.obs.astype(self._wire_dtype, copy=False)
         return (obs, *results[1:4], ends, *results.arrays[5:])
 
     def reset(
         self, seed: int | None, mask: Array | None, keeps: bool
-    ) -> tuple[Seen, tuple[Array, Array] | None]:
+    ) -> tuple[Observed, tuple[Array, Array] | None]:
         """Reset; return the state too if it is to be kept."""
-        seen = self._seen(self._device.reset(seed, None if mask is None else mask.copy()))
+        observed = self._observed(self._device.reset(seed, None if mask is None else mask.copy()))
         if not keeps:
-            return seen, None
+            return observed, None
         saved = self._device.snapshot()
-        return seen, (saved.memory, saved.stored)
+        return observed, (saved.memory, saved.stored)
 
-    def _seen(self, obs: Array) -> Seen:
-        return Seen(obs, self._device.action_masks, self._device.alive)
+    def _observed(self, obs: Array) -> Observed:
+        return Observed(obs, self._device.action_masks, self._device.in_episode)
 
-    def restore(self, max_cycles: int | None, saved: SavedState) -> Seen:
+    def restore(self, max_cycles: int | None, saved: SavedState) -> Observed:
         """Continue from a snapshot, under the time limit of that moment."""
         self._device.config = replace(self._device.config, max_cycles=max_cycles)
-        return self._seen(self._device.restore(saved.copy()))
+        return self._observed(self._device.restore(saved.copy()))
 
     def call(self, name: str, *arguments: Any) -> Any:
         """Make any other call of the device."""
         return getattr(self._device, name)(*arguments)
 
 
-def travelling(spec: EnvSpec) -> np.dtype[Any]:
+def wire_dtype(spec: EnvSpec) -> np.dtype[Any]:
     """Return the narrowest dtype that holds all observations; for integers mostly less than the space's."""
     whole = spec.observation_dtype
     if whole.kind not in "iu" or spec.unpack is not None:
@@ -295,30 +300,30 @@ def travelling(spec: EnvSpec) -> np.dtype[Any]:
     return narrow if narrow.kind in "iu" and narrow.itemsize < whole.itemsize else whole
 
 
-class Parcel(NamedTuple):
-    """An environment and other things on their way to an actor: see :func:`parcel`."""
+class Packed(NamedTuple):
+    """An environment and other things on their way to an actor: see :func:`pack`."""
 
     content: bytes
     environment: str
     fingerprint: str
 
 
-def parcel(spec: EnvSpec, *others: Any) -> Parcel:
+def pack(spec: EnvSpec, *others: Any) -> Packed:
     """Return an environment and other things as an actor takes them, on a machine with the same packages."""
-    return Parcel(cluster.connect().cloudpickle.dumps((spec, *others)), spec.name, fingerprint(spec))
+    return Packed(cluster.connect().cloudpickle.dumps((spec, *others)), spec.name, fingerprint(spec))
 
 
-def contents(parcel: Parcel) -> tuple[Any, ...]:
+def unpacked(packed: Packed) -> tuple[Any, ...]:
     """Return what was packed, in the actor; refuse an environment that is not that of the other side."""
-    name = parcel.environment
+    name = packed.environment
     try:
-        content: tuple[Any, ...] = pickle.loads(parcel.content)
+        content: tuple[Any, ...] = pickle.loads(packed.content)
     except Exception as error:
         raise DeviceError(
             f"{platform.node()} cannot load the environment {name} or the device: {error!r}; install the "
             "package that has them on every machine of the cluster, or add its folder to PYTHONPATH there"
         ) from None
-    if fingerprint(content[0]) != parcel.fingerprint:
+    if fingerprint(content[0]) != packed.fingerprint:
         raise DeviceError(
             f"{platform.node()} has another {name} than the process that asks for it: install the same "
             "version of its package on every machine of the cluster, and start Ray there again"

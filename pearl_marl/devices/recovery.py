@@ -12,10 +12,9 @@ have come without the failure, bit for bit, whatever the device did or did not d
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.saved_state import SavedState
@@ -29,20 +28,10 @@ Kept = tuple[BatchConfig, SavedState]
 Calls = list[tuple[str, tuple[Any, ...]]]
 
 
-class Position(NamedTuple):
-    """What a device knows of its batch besides the slots: where a refused or failed call goes back to."""
-
-    config: BatchConfig
-    seed: tuple[int, int]
-    tick: int
-    reward_table: npt.NDArray[np.float32]
-    ready: bool
-
-
 class CheckpointLog:
     """Keeps a state of a device's slots on the host, and the calls since.
 
-    It does not refer to the device, so that one that everybody has forgotten frees its board at once.
+    It does not refer to the device, so that one that is no longer used frees its board at once.
 
     Parameters
     ----------
@@ -91,6 +80,7 @@ class CheckpointLog:
                 getattr(device, name)(*arguments)
         except BaseException:
             device.position = position
+            device.fail()
             self._kept, self._calls = kept, calls_before
             raise
 

@@ -1,9 +1,9 @@
 """The golden functions as a device: Python itself runs them, one slot after the other; written to be read.
 
-It is what every other device is held against, so it shares with them no more than the golden
-functions, ``unpack``, the random draws, the table of rewards, the layout of a saved state, and what checks
-and encodes actions before any device has them. The order in which slots step, end and begin again stands
-here a second time, and neither a generated kernel nor Numba has a part in it.
+It is what every other device is compared with. So it shares with them no more than the golden functions
+and ``unpack`` as their author wrote them, the random draws, the table of rewards, the layout of a saved
+state, and the code that checks and encodes actions for all devices. It states a second time in which order
+slots step, end and begin again, and uses neither Numba nor any code that is generated for kernels.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from pearl_marl import rng
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import Array, BatchStep, Seen
+from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.devices.base import Device
 from pearl_marl.errors import DeviceError
 from pearl_marl.golden import GoldenFunction, reference
-from pearl_marl.spec import TERMINATED, Field
+from pearl_marl.spec import TERMINATED, EnvSpec, Field
 
 
 class Reference(Device):
@@ -44,7 +44,7 @@ class Reference(Device):
         if config.initial_states == "stored":
             self._stored = SlotMemory(config.spec, config.n_envs)
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
+    def _reset(self, mask: Array | None, seed: int | None) -> Observed:
         memory = self._memory
         if mask is None:
             self._put(self._random_start(self.tick, np.ones(len(self._slots), np.bool_)))
@@ -54,38 +54,40 @@ class Reference(Device):
         else:
             self._put(_chosen(mask, self._start(self.tick, mask), memory.state))
             memory.elapsed[mask] = memory.ended[mask] = 0
-        return self._see(self._results.take(), memory.state, memory.gone)
+        return self._see(self._results.take(), memory.state, memory.ended_early)
 
     def _step(self, actions: Array) -> BatchStep:
         config, memory = self.config, self._memory
         spec, limit = config.spec, config.limit
         draws = self._draws(self.tick, spec.reset_draws, spec.step_draws)
         fields = (*spec.state, *spec.each_agent(spec.reward), *spec.each_agent(TERMINATED))
-        given = actions.reshape(config.n_envs, -1).T
-        words = self._words(spec.positional.step, [*memory.state, *given, *draws], fields)
+        by_agent = actions.reshape(config.n_envs, -1).T
+        words = self._words(spec.positional.step, [*memory.state, *by_agent, *draws], fields)
         state, outcome = words[: len(spec.state)], words[len(spec.state) :]
-        reward, terminated = (np.stack(part, 1) for part in (outcome[: spec.agents], outcome[spec.agents :]))
+        reward, terminated = (
+            np.stack(columns, 1) for columns in (outcome[: spec.agents], outcome[spec.agents :])
+        )
 
         # NEXT_STEP: a slot that ended has run on unseen, and begins now instead.
         resetting = (memory.ended & 1).astype(np.bool_)
         # Agents that have ended while their world goes on have no part in it any more.
-        idle = memory.gone | resetting[:, None]
+        idle = memory.ended_early | resetting[:, None]
         if resetting.any():
             state = _chosen(resetting, self._start(self.tick, resetting), state)
         elapsed = np.where(resetting, 0, memory.elapsed + 1) if limit else memory.elapsed
         terminations = terminated.astype(np.bool_) & ~idle
         late = (elapsed >= limit if limit else np.zeros_like(resetting)) & ~resetting
-        gone = memory.gone | terminations
-        ended = gone.all(1) | late
-        gone[ended] = False
+        over = memory.ended_early | terminations
+        ended = over.all(1) | late
+        over[ended] = False
         results = self._results.take()
         final_obs = self._observe(state)
-        self._see(results, state, gone, final_obs)
+        self._see(results, state, over, final_obs)
         # SAME_STEP: it begins at once, with the draws of the next step.
         if not self._next_step and ended.any():
             state = _chosen(ended, self._start(rng.following(self.tick), ended), state)
             elapsed = np.where(ended, 0, elapsed)
-            self._see(results, state, gone)
+            self._see(results, state, over)
 
         # Every golden function has been called: from here on nothing can be refused any more.
         truncations = late[:, None] & ~idle
@@ -93,7 +95,7 @@ class Reference(Device):
         memory.elapsed[:] = elapsed
         memory.ended[:] = ended & self._next_step
         for k in range(spec.agents):
-            memory.ended[gone[:, k]] |= memory.ended.dtype.type(1 << 1 + k)
+            memory.ended[over[:, k]] |= memory.ended.dtype.type(1 << 1 + k)
         results.final_obs[...] = final_obs
         results.rewards[:] = np.where(idle, np.float32(0), self._reward_values(reward)).ravel()
         results.terminations[:] = terminations.ravel()
@@ -104,11 +106,11 @@ class Reference(Device):
         memory = self._memory.bytes
         return memory, memory[:0] if self._stored is None else self._stored.bytes
 
-    def _write(self, memory: Array, stored: Array) -> Seen:
+    def _write(self, memory: Array, stored: Array) -> Observed:
         self._memory.bytes[:] = memory
         if self._stored is not None:
             self._stored.bytes[:] = stored
-        return self._see(self._results.take(), self._memory.state, self._memory.gone)
+        return self._see(self._results.take(), self._memory.state, self._memory.ended_early)
 
     def _close(self) -> None:
         """Nothing is held but memory."""
@@ -158,24 +160,24 @@ class Reference(Device):
         return words
 
     def _see(
-        self, results: BatchStep, state: list[Array], gone: Array, observed: Array | None = None
-    ) -> Seen:
-        """Write what agents see in a state, and who is alive; who is gone sees zeros."""
-        spec, nobody = self.config.spec, gone.ravel()
+        self, results: BatchStep, state: list[Array], over: Array, observed: Array | None = None
+    ) -> Observed:
+        """Write what agents see in a state, and which are in an episode; the others see zeros."""
+        spec, rows = self.config.spec, over.ravel()
         results.obs[...] = self._observe(state) if observed is None else observed
-        results.obs[nobody] = 0
+        results.obs[rows] = 0
         if spec.positional.masks is not None:
             assert results.action_masks is not None
             by_agent = [
                 self._words(spec.positional.masks, state, spec.mask_fields, *agent) for agent in spec.views
             ]
             results.action_masks[...] = np.stack([np.stack(words, -1) for words in by_agent], 1).reshape(
-                len(nobody), -1
+                len(rows), -1
             )
-            results.action_masks[nobody] = 0
+            results.action_masks[rows] = 0
         if spec.agents > 1:
-            results.alive[...] = ~nobody
-        return results.seen
+            results.in_episode[...] = ~rows
+        return results.observed
 
     def _observe(self, state: list[Array]) -> Array:
         """Return the observations of all agents, those of one world after the other."""
@@ -185,23 +187,30 @@ class Reference(Device):
 
     def _observe_one(self, state: list[Array], *agent: int) -> Array:
         spec = self.config.spec
-        dtype: Any = spec.observation_dtype
-        words = self._words(spec.positional.observe, state, spec.observation, *agent)
-        unpack = spec.positional.unpack
-        if unpack is not None:
-            shown = zip(*(column.tolist() for column in words), strict=True)
-            rows = [_row(unpack, numbers, spec.observation_size, dtype) for numbers in shown]
-            return np.stack(rows).reshape(-1, *spec.observation_shape)
-        values = [
-            word.astype(dtype) * dtype.type(2.0**-f.fraction) if f.fraction else word.astype(dtype)
-            for word, f in zip(words, spec.observation, strict=True)
-        ]
-        return np.stack(values, -1).reshape(len(self._slots), *spec.observation_shape)
+        return observations_of(spec, self._words(spec.positional.observe, state, spec.observation, *agent))
 
     def _reward_values(self, words: Array) -> Array:
         if self.config.spec.rewards is not None:
             return self.reward_table[words]
         return words.astype(np.float32) * np.float32(2.0**-self.config.spec.reward.fraction)
+
+
+def observations_of(spec: EnvSpec, words: list[Array]) -> Array:
+    """Return the observations that words stand for, shape ``(n, *spec.observation_shape)``.
+
+    ``words`` are arrays of shape ``(n,)``, one for each field. Plain Python writes planes.
+    """
+    dtype: Any = spec.observation_dtype
+    unpack = spec.plain_unpack
+    if unpack is None:
+        rows = [
+            word.astype(dtype) * dtype.type(2.0**-f.fraction) if f.fraction else word.astype(dtype)
+            for word, f in zip(words, spec.observation, strict=True)
+        ]
+        return np.stack(rows, -1).reshape(-1, *spec.observation_shape)
+    numbers = zip(*(column.tolist() for column in words), strict=True)
+    rows = [_row(unpack, row, spec.observation_size, dtype) for row in numbers]
+    return np.stack(rows).reshape(-1, *spec.observation_shape)
 
 
 @functools.lru_cache(1 << 14)

@@ -53,7 +53,7 @@ def answer_bytes(words: int) -> int:
 
 
 _FIXES: dict[type[OSError], str] = {
-    PermissionError: "; who is in the group dialout may open it",
+    PermissionError: "; users in the group dialout may open it",
     FileNotFoundError: "; plug the board in, or name its port: serial:PORT",
 }
 
@@ -65,7 +65,7 @@ class SerialTransport(Transport):
 
     def __init__(self, port: str, timeout: float) -> None:
         self._port, self._timeout = port, timeout
-        self._gone = False
+        self._lost = False
         self._open()
 
     def _open(self) -> None:
@@ -111,11 +111,11 @@ class SerialTransport(Transport):
             pass
 
     def reconnect(self) -> None:
-        """Open the port again, if it was gone."""
-        if self._gone:
+        """Open the port again, if it was lost."""
+        if self._lost:
             self.close()
             self._open()
-            self._gone = False
+            self._lost = False
 
     def close(self) -> None:
         """Close the port, which also gives up the lock."""
@@ -131,7 +131,7 @@ class SerialTransport(Transport):
                 sent = sent[os.write(self._file, sent) :]
             answer = self._receive(length)
         except OSError as error:
-            self._gone = True
+            self._lost = True
             raise DeviceError(f"the serial port {self._port} failed: {error.strerror}") from None
         body = answer[: -_CHECKSUM.size]
         if len(answer) < length or _CHECKSUM.unpack_from(answer, len(body))[0] != zlib.crc32(body):
@@ -149,7 +149,7 @@ class SerialTransport(Transport):
         received = b""
         while len(received) < length and select.select([self._file], [], [], self._timeout)[0]:
             part = os.read(self._file, length - len(received))
-            if not part:  # a port that is gone ends, and at once
+            if not part:  # a port that was unplugged ends, and at once
                 raise OSError(errno.EIO, os.strerror(errno.EIO))
             received += part
         return received

@@ -14,7 +14,7 @@ the doorbell, the regions that the host has changed go to the simulated board, t
 whatever the host can read goes back into the file: states first, then results, the status last, then
 the event. So reads and writes return at once, as on a board, and a step takes its time.
 
-The file is read and written by calls, and not mapped: a mapped one that somebody cuts ends the process that
+The file is read and written by calls, and not mapped: a mapped one that is cut ends the process that
 looks at it.
 
 What a file cannot do: refuse an address, notice that it is read while a step runs, or reset what runs. So
@@ -100,7 +100,9 @@ class ServedBoard:
             try:
                 self._folder.mkdir(parents=True, exist_ok=True)
                 self._lock(opened)
-                for node in self._nodes():  # of a server that was killed: who comes now waits for ours
+                for (
+                    node
+                ) in self._nodes():  # of a server that was killed: a host that comes now waits for ours
                     node.unlink(missing_ok=True)
                 self._simulation = Simulation(library(build), build.layout, path == "backdoor", None)
                 opened.callback(self._simulation.close)
@@ -203,7 +205,7 @@ class ServedBoard:
             raise OSError(ctypes.get_errno(), f"inotify: {os.strerror(ctypes.get_errno())}")
         self._stopping = os.eventfd(0, os.EFD_CLOEXEC)
         opened.callback(os.close, self._stopping)
-        os.link(c2h, h2c)  # last: who finds it finds all
+        os.link(c2h, h2c)  # last: a host that finds it finds all
 
     def _sequence(self) -> int:
         """Return the number of the step that was asked for last."""
@@ -256,7 +258,7 @@ class ServedBoard:
         self._put(read_at, self._answer[: status - read_at])
         self._put(status, self._answer[status - read_at :])
         self.steps += 1
-        # As in the driver, events that nobody has read are one.
+        # As in the driver, events that were not read are one.
         with contextlib.suppress(BlockingIOError):
             os.read(self._events, 1 << 12)
         os.write(self._events, struct.pack("=I", 1))

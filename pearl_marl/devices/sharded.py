@@ -24,8 +24,8 @@ import numpy.typing as npt
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.batch.step import Array, BatchStep, Seen
-from pearl_marl.devices.base import Device, count_or_none
+from pearl_marl.batch.step import Array, BatchStep, Observed
+from pearl_marl.devices.base import Device, Phase, count_or_none
 from pearl_marl.devices.by_name import make_distinct
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.threads import Threads
@@ -67,14 +67,14 @@ class Sharded(Device):
         self._sizes = None if sizes is None else [int(size) for size in sizes]
 
     @property
-    def way_on(self) -> str:
+    def remedy(self) -> str:
         """See :class:`Device`; with a seed, as the parts may not agree on where they are."""
         return "call recover(), or reset() with a seed, or load a saved state, to go on"
 
-    def check_known(self) -> None:
+    def check_not_failed(self) -> None:
         """Refuse to go on where a call has failed on some parts."""
-        if not self.known:
-            raise DeviceError(f"a call of {self.name} failed on some parts before; {self.way_on}")
+        if self.phase is Phase.FAILED:
+            raise DeviceError(f"a call of {self.name} failed on some parts before; {self.remedy}")
 
     def on_all(self, call: Callable[[Device, slice], T]) -> list[T]:
         """Call for all parts at the same time, each with its slots; return when all are done."""
@@ -84,7 +84,7 @@ class Sharded(Device):
         ]
         try:
             wait(tasks)
-        except BaseException:  # Ctrl-C, and nobody may find a part at work
+        except BaseException:  # Ctrl-C, and no part may be left at work
             wait(tasks)
             raise
         return [task.result() for task in tasks]
@@ -105,7 +105,7 @@ class Sharded(Device):
             self._open_parts(config)
         except BaseException:
             for part in self.parts:
-                if hasattr(part, "config"):
+                if part.phase is not Phase.NEW:
                     part.close()
             raise
 
@@ -119,19 +119,21 @@ class Sharded(Device):
         first_slot, size = config.first_slot + slots.start, slots.stop - slots.start
         part.open(replace(config, n_envs=size, first_slot=first_slot, copy=False))
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
+    def _reset(self, mask: Array | None, seed: int | None) -> Observed:
         if seed is None:
-            self.check_known()
+            self.check_not_failed()
         return self._restart(lambda part, slots: part.reset(seed, None if mask is None else mask[slots]))
 
     def _step(self, actions: Array) -> BatchStep:
-        self.check_known()
-        done = self._change(lambda part, slots: part.step_words(actions[self.rows(slots)]))
+        done = self.on_all(lambda part, slots: part.step_words(actions[self.rows(slots)]))
         results = self._results.take()
         for slots, step in zip(self._slots, done, strict=True):
             for whole, share in zip(results.arrays, step.arrays, strict=True):
                 whole[self.rows(slots)] = share
         return results
+
+    def _may_have_moved(self) -> bool:
+        return True  # those of other parts
 
     def rows(self, slots: slice) -> slice:
         """Return the rows that the agents of some slots have."""
@@ -139,11 +141,10 @@ class Sharded(Device):
         return slice(slots.start * agents, slots.stop * agents)
 
     def _read(self) -> tuple[Array, Array]:
-        self.check_known()
         saved = SavedState.join(self.config.spec, self.on_all(lambda part, _: part.snapshot()))
         return saved.memory, saved.stored
 
-    def _write(self, memory: Array, stored: Array) -> Seen:
+    def _write(self, memory: Array, stored: Array) -> Observed:
         saved, spec = self.saved(memory, stored), self.config.spec
 
         def write(part: Device, slots: slice) -> Array:
@@ -154,11 +155,11 @@ class Sharded(Device):
         return self._restart(write)
 
     def _apply_rewards(self, table: npt.ArrayLike) -> None:
-        self.check_known()
+        self.check_not_failed()
         self._change(lambda part, _: part.set_rewards(table))
 
     def _apply_limit(self, config: BatchConfig) -> None:
-        self.check_known()
+        self.check_not_failed()
         self._change(lambda part, _: part.set_max_cycles(config.max_cycles))
 
     def _close(self) -> None:
@@ -169,12 +170,13 @@ class Sharded(Device):
 
     def _change(self, call: Callable[[Device, slice], T]) -> list[T]:
         """Do what moves slots. Should it fail on one part, the others may have moved."""
-        self.known = False
-        results = self.on_all(call)
-        self.known = True
-        return results
+        try:
+            return self.on_all(call)
+        except BaseException:
+            self.fail()
+            raise
 
-    def _restart(self, call: Callable[[Device, slice], Array]) -> Seen:
+    def _restart(self, call: Callable[[Device, slice], Array]) -> Observed:
         """Reset or restore all parts; return what agents see."""
         shares = self._change(call)
         results = self._results.take()
@@ -184,8 +186,8 @@ class Sharded(Device):
             if results.action_masks is not None:
                 results.action_masks[rows] = part.action_masks
             if self.config.spec.agents > 1:
-                results.alive[rows] = part.alive
-        return results.seen
+                results.in_episode[rows] = part.in_episode
+        return results.observed
 
 
 def _are_sizes(sizes: object, count: int) -> bool:

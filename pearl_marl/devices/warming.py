@@ -59,17 +59,17 @@ def warm(env_id: str, options: dict[str, Any]) -> Warmed:
 
 def warm_all(env_ids: Iterable[str], options: dict[str, Any]) -> Iterator[Warmed]:
     """Do so for several environments, as many at once as there are cores; yield each when it is done."""
-    given = list(env_ids)
-    workers = min(len(given), len(os.sched_getaffinity(0)))
+    ids = list(env_ids)
+    workers = min(len(ids), len(os.sched_getaffinity(0)))
     if workers < 2:
-        yield from (warm(env_id, options) for env_id in given)
+        yield from (warm(env_id, options) for env_id in ids)
         return
     pool = ProcessPoolExecutor(workers, get_context("spawn"))
     try:
         # Ctrl-C is the parent's to answer: processes have blocked what was blocked when they started.
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
         try:
-            begun = [pool.submit(warm, env_id, options) for env_id in given]
+            begun = [pool.submit(warm, env_id, options) for env_id in ids]
         finally:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
         for done in as_completed(begun):

@@ -80,6 +80,6 @@ class Xdma(CommBram):
         try:
             # The sizes that the board states.
             layout = memory_map(config.spec, config.n_envs, words[Control.PE_NUM], words[Control.DATA_WL])
-        except ArgumentError:  # no board of ours, or not for so many slots: who checks its identity will tell
+        except ArgumentError:  # no board of ours, or not for so many slots: its identity will tell
             layout = default_map(config.spec, config.n_envs)
         return transport, layout

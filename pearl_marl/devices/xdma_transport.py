@@ -95,7 +95,7 @@ class XdmaTransport(Transport):
         self._move(self._pread, "reading", offset, data)
 
     def begin(self) -> None:
-        """Forget interrupts of steps that nobody waited for to the end."""
+        """Forget interrupts of steps that were not waited for to the end."""
         while self._events >= 0 and self._poller.poll(0):
             self._await_event(0)
 
@@ -137,7 +137,7 @@ class XdmaTransport(Transport):
         self._h2c = self._c2h = self._events = -1
 
     def __del__(self) -> None:
-        self.close()  # or a board that nobody closed would stay in use
+        self.close()  # or a board that was not closed would stay in use
 
     def _open(self) -> None:
         if isinstance(self._board, str):
@@ -186,7 +186,7 @@ class XdmaTransport(Transport):
                 )
             try:
                 os.close(os.open(path, os.O_WRONLY | os.O_NONBLOCK))
-            except OSError:  # nobody has it open for reading
+            except OSError:  # no process has it open for reading
                 raise DeviceError(f"{self._called} is gone; {_SERVE_AGAIN}") from None
         if served or self._asked == "event":
             self._events = os.open(path, os.O_RDONLY | os.O_NONBLOCK)

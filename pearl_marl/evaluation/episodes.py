@@ -12,9 +12,9 @@ from pearl_marl.batch.step import BatchStep
 
 
 class Ended(NamedTuple):
-    """The episodes that ended in one step, an element each: whose, in order, returns and lengths.
+    """The episodes that ended in one step, an element each: rows of their agents in order, returns, lengths.
 
-    ``truncated`` is whether nothing but the time limit ended them.
+    ``truncated`` is whether only the time limit ended them.
     """
 
     slots: npt.NDArray[np.intp]
@@ -24,7 +24,7 @@ class Ended(NamedTuple):
 
 
 NONE = Ended(np.zeros(0, np.intp), np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.bool_))
-"""What most steps of few slots end."""
+"""No episodes, as in most steps of few slots."""
 
 
 class RunningEpisodes:
@@ -34,19 +34,19 @@ class RunningEpisodes:
         self._returns = np.zeros(n, np.float64)
         self._starts = np.zeros(n, np.int64)
         self._steps = 0
-        self._dead = NONE.slots
+        self._absent = NONE.slots
 
     def clear(self) -> None:
         """Begin an episode in every slot."""
         self._returns[:] = self._starts[:] = self._steps = 0
-        self._dead = NONE.slots
+        self._absent = NONE.slots
 
     def add(self, step: BatchStep) -> Ended:
         """Count one step of every slot; return the episodes that it ended."""
         self._steps += 1
         self._returns += step.rewards
-        self._starts[self._dead] = self._steps  # their next episode begins with that of their world
-        self._dead = np.flatnonzero(~step.alive)
+        self._starts[self._absent] = self._steps  # their next episode begins with that of their world
+        self._absent = np.flatnonzero(~step.in_episode)
         slots = np.flatnonzero(step.ended)
         if not slots.size:
             return NONE

@@ -1,8 +1,8 @@
-"""Policies against each other: who beats whom, where the agents of a world are not of one policy."""
+"""Policies against each other: wins and returns where agents of a world have different policies."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -60,36 +60,34 @@ class Match(Evaluation):
         if openings < 0:
             raise ArgumentError(f"openings is {openings}; it must be at least 0")
         if spec.agents < 2:
-            raise ArgumentError(
-                f"{spec.name} has one agent in a world, which has nobody to play against: leave --against out"
-            )
+            raise ArgumentError(f"{spec.name} has one agent in a world, so policies cannot play each other")
         self._openings = openings
         self.seats = _seats(n_agents, spec.agents)
 
         rng = np.random.default_rng(checked_seed(seed))
 
-        def both(*seen: Array) -> Array:
-            # Both are given everything: some policies go by which row an agent has.
-            ours, theirs = np.asarray(policy(*seen)), np.asarray(against(*seen))
-            actions = np.where(_like(self.seats, ours), ours, theirs)
+        def choose(*observed: Array) -> Array:
+            # Both policies get all rows: some choose by an agent's row.
+            ours, theirs = np.asarray(policy(*observed)), np.asarray(against(*observed))
+            actions = np.where(_broadcast(self.seats, ours), ours, theirs)
             if self.elapsed.min() < openings:
-                anything = random_actions(spec, rng, n_agents, *seen[1:])
-                begins = np.repeat(self.elapsed < openings, spec.agents)
-                actions = np.where(_like(begins, actions), anything, actions)
+                drawn = random_actions(spec, rng, n_agents, *observed[1:])
+                opening = np.repeat(self.elapsed < openings, spec.agents)
+                actions = np.where(_broadcast(opening, actions), drawn, actions)
             return actions
 
-        super().__init__(spec, both, n_agents, device, seed=seed, max_cycles=max_cycles)
+        super().__init__(spec, choose, n_agents, device, seed=seed, max_cycles=max_cycles)
         self.elapsed = np.zeros(self.config.n_envs, np.int64)
 
     def _count(self, step: BatchStep) -> int:
-        ended, alive = (flags.reshape(len(self.elapsed), -1) for flags in (step.ended, step.alive))
-        self.elapsed = np.where(ended.any(1) & alive.all(1), 0, self.elapsed + 1)
+        ended, present = (flags.reshape(len(self.elapsed), -1) for flags in (step.ended, step.in_episode))
+        self.elapsed = np.where(ended.any(1) & present.all(1), 0, self.elapsed + 1)
         return super()._count(step)
 
     def outcome(self) -> dict[str, Any]:
         """Return how it went for the first policy: wins, draws and losses, and the returns of both.
 
-        A world is won by who has a higher return there than each of the others.
+        A policy wins a world if its agent's return there is higher than that of each other agent.
 
         Raises
         ------
@@ -119,23 +117,28 @@ class Match(Evaluation):
 
 
 def cross_table(
-    spec: EnvSpec, policies: Mapping[str, Policy], n_agents: int, **given: Any
+    spec: EnvSpec,
+    policies: Mapping[str, Policy],
+    n_agents: int,
+    make_device: Callable[[], str | Device] = lambda: "native",
+    **settings: Any,
 ) -> Iterator[dict[str, Any]]:
-    """Yield the outcomes of all policies, each against each of the others, a row a pair.
+    """Yield the outcome of each pair of policies, and the digest of their games.
 
-    ``given`` is what :class:`Match` takes.
+    Each match has a device of its own from ``make_device``; ``settings`` are other arguments of
+    :class:`Match`.
     """
     names = list(policies)
     for k, first in enumerate(names):
         for second in names[k + 1 :]:
-            match = Match(spec, policies[first], policies[second], n_agents, **given)
+            match = Match(spec, policies[first], policies[second], n_agents, make_device(), **settings)
             for _ in match.run():
                 pass
-            yield {"policy": first, "against": second, **match.outcome()}
+            yield {"policy": first, "against": second, **match.outcome(), "digest": match.digest}
 
 
-def _like(flags: Array, actions: Array) -> Array:
-    """Return a flag an agent in a shape that goes with its action's."""
+def _broadcast(flags: Array, actions: Array) -> Array:
+    """Return flags of shape ``(n,)`` in a shape that broadcasts over the agents' actions."""
     return flags.reshape(-1, *(1,) * (actions.ndim - 1))
 
 

@@ -51,7 +51,7 @@ class Evaluation:
     Parameters
     ----------
     policy
-        What acts; see :mod:`pearl_marl.policies.loading`.
+        What chooses actions; see :mod:`pearl_marl.policies.loading`.
     device
         A name or a device. Of a :class:`~pearl_marl.devices.Lockstep`, the device that is checked is timed.
     episodes
@@ -65,7 +65,7 @@ class Evaluation:
     returns, lengths
         Of every counted episode, the first agent's first; in the course of the run, those done.
     truncated
-        How many of them nothing but the time limit ended.
+        How many of them only the time limit ended.
     steps
         Steps taken by every agent.
     """
@@ -95,14 +95,14 @@ class Evaluation:
             max_cycles = spec.max_cycles or LIMIT
         worlds = worlds_of(spec, n_agents)
         self.config = BatchConfig(spec=spec, n_envs=worlds, max_cycles=max_cycles, copy=False)
-        check_memory(self.config, 48)  # what is noted of an agent
+        check_memory(self.config, 48)  # bytes of notes for each agent
         self.episodes = n_agents if episodes is None else episodes
         self.device = make_device(device)
         self.seed, self._policy = checked_seed(seed), policy
         self.steps = self.truncated = 0
         self._quota = np.full(n_agents, self.episodes // n_agents)
         self._quota[: self.episodes % n_agents] += 1
-        self._first = np.cumsum(self._quota) - self._quota  # where an agent's episodes stand
+        self._first = np.cumsum(self._quota) - self._quota  # the index of an agent's first episode
         self._done = np.zeros(n_agents, np.int64)
         self._running = RunningEpisodes(n_agents)
         self._returns, self._lengths = np.full(self.episodes, np.nan), np.zeros(self.episodes, np.int64)
@@ -128,17 +128,17 @@ class Evaluation:
         ActionError
             The policy's actions are not actions of the environment.
         LockstepError
-            The device is a lockstep, and its two devices part.
+            The device is a lockstep, and its two devices differ.
         """
         self.device.open(self.config)
         try:
             stages = self.device.timed()
-            seen = self._seen(self.device.reset(self.seed))
-            self._add(*seen)
+            observed = self._observed(self.device.reset(self.seed))
+            self._add(*observed)
             remaining = self.episodes
             while remaining:
                 began = time.perf_counter()
-                actions = self._policy(*seen)
+                actions = self._policy(*observed)
                 chosen = time.perf_counter()
                 encoded = self.device.encoded(actions)
                 checked = time.perf_counter() - chosen
@@ -147,8 +147,8 @@ class Evaluation:
                 self._seconds.append({"policy": chosen - began, **stages, "pack": packed})
                 if self.device.cycles is not None:
                     self._cycles.add(self.device.cycles)
-                seen = self._seen(step.obs)
-                self._add(encoded, *step[:4], step.final_obs[step.ended], *seen[1:])
+                observed = self._observed(step.obs)
+                self._add(encoded, *step[:4], step.final_obs[step.ended], *observed[1:])
                 counted = self._count(step)
                 remaining -= counted
                 yield from (None,) * counted
@@ -157,8 +157,8 @@ class Evaluation:
         finally:
             self.device.close()
 
-    def _seen(self, obs: Array) -> tuple[Array, ...]:
-        """Return what the policy is called with: observations, and masks if there are any."""
+    def _observed(self, obs: Array) -> tuple[Array, ...]:
+        """Return the arguments of the policy: observations, and masks if there are any."""
         masks = self.device.action_masks
         return (on_host(obs),) if masks is None else (on_host(obs), on_host(masks))
 
@@ -171,11 +171,16 @@ class Evaluation:
         ended = self._running.add(step)
         wanted = self._done[ended.slots] < self._quota[ended.slots]
         slots = ended.slots[wanted]
-        places = self._first[slots] + self._done[slots]
-        self._returns[places], self._lengths[places] = ended.returns[wanted], ended.lengths[wanted]
+        episodes = self._first[slots] + self._done[slots]
+        self._returns[episodes], self._lengths[episodes] = ended.returns[wanted], ended.lengths[wanted]
         self.truncated += int(np.count_nonzero(ended.truncated[wanted]))
         self._done[slots] += 1
         return slots.size
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over all that the policy has seen and done so far."""
+        return self._digest.hexdigest()
 
     @property
     def world_returns(self) -> npt.NDArray[np.float64]:
@@ -218,7 +223,7 @@ class Evaluation:
             "length": interval(self.lengths),
             "interval": "mean +- 1.96 standard errors: 95 %, by normal approximation",
             **self._of_worlds(),
-            "digest": self._digest.hexdigest(),
+            "digest": self.digest,
             "latency": [
                 {"stage": name, "paper": STAGES.get(name), **spread([row[name] for row in self._seconds])}
                 for name in stages

@@ -13,11 +13,12 @@ from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
-from pearl_marl.cache import cache_folder, replace
+from pearl_marl.cache import cache_folder
 from pearl_marl.compiler.cores import core_name, generated_core
 from pearl_marl.compiler.loading import fingerprint
 from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.files import write_whole
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import Engine, MemoryMap, stream_bits
 from pearl_marl.spec import EnvSpec, snake_case, word_bits
@@ -82,7 +83,7 @@ def _kept(text: str, name: str) -> Path:
     path = cache_folder("cores") / digest / name
     try:
         if not path.exists() or path.read_bytes() != text.encode():
-            replace(path, text.encode())
+            write_whole(path, text.encode())
     except OSError as error:
         raise DeviceError(
             f"the core could not be written to {path}: {error.strerror}; make room there, or set "

@@ -53,8 +53,6 @@ def policy_words(policy: DevicePolicy, engine: Engine) -> dict[Section, Words]:
     assert not isinstance(head, Levels)  # there are none for a single action of so many
     if len(head.weights) and not engine.drawn:
         raise _refusal("takes the best action, and this policy draws its actions")
-    if not 0 <= head.shift < 32:
-        raise _refusal(f"shifts distances of logits by 31 bits at most, and this policy by {head.shift}")
     if isinstance(inputs, Rows):
         words = _table(policy, inputs, engine)
     elif isinstance(inputs, Scaling):

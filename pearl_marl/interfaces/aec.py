@@ -15,7 +15,6 @@ from gymnasium.spaces import Box, Space
 from pettingzoo import AECEnv
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
-from pearl_marl.batch.actions import idle_action, refuse_first, refuse_masked, why_not
 from pearl_marl.batch.step import Array, on_host
 from pearl_marl.deferral import uninterrupted
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
@@ -25,8 +24,8 @@ from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
 def raw_env(env_id: str, n_agents: int | None = None, **arguments: Any) -> PearlAECEnv:
     """Make the AEC form, without PettingZoo's check of the order of calls.
 
-    In a game of turns, ``agent_selection`` is who is on turn. Of several worlds it is the first one's, then
-    the second one's, and so on; when everybody who is on turn has acted, all worlds step. In other
+    In a game of turns, ``agent_selection`` is the agent on turn. Of several worlds it is the first one's,
+    then the second one's, and so on; when all agents on turn have acted, all worlds step. In other
     environments it goes through all agents, which then step at once.
 
     Takes what :func:`parallel_env` takes but ``autoreset``: agents leave when their episode ends.
@@ -44,8 +43,8 @@ def env(env_id: str, n_agents: int | None = None, **arguments: Any) -> Any:
 class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
     """The agents of a :class:`pearl_marl.PearlParallelEnv`, ``env``, one after the other.
 
-    As in PettingZoo's own games, who has ended is what ``terminations`` and ``truncations`` say. Wrappers may
-    assign those, as ``TerminateIllegalWrapper`` does. Agents that have ended leave before the others act.
+    As in PettingZoo's own games, ``terminations`` and ``truncations`` say which agents have ended. Wrappers
+    may assign those, as ``TerminateIllegalWrapper`` does. Agents that have ended leave before the others act.
     """
 
     def __init__(self, parallel: PearlParallelEnv) -> None:
@@ -113,8 +112,8 @@ class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
         self.truncations = dict.fromkeys(self.agents, False)
         self.rewards = dict.fromkeys(self.agents, 0.0)
         self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
-        self._given: dict[str, Any] = {}
-        # Who is to step next: those that leave, then those that act.
+        self._chosen: dict[str, Any] = {}
+        # The agents to step next: those that leave, then those that act.
         self._due = deque(self._on_turn())
         self.agent_selection = self._due[0]
 
@@ -123,7 +122,7 @@ class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
         try:
             return self._observations[agent]
         except KeyError:
-            self.env.slot_of(agent)  # says so where there is none of that name
+            self.env.row_of(agent)  # says so where there is none of that name
             raise OrderError(
                 f"observe({agent!r}): its episode has ended, and it has left until reset()"
             ) from None
@@ -143,17 +142,17 @@ class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
             self._was_dead_step(action)
             return
         before = self.rewards, self._cumulative_rewards[agent]
-        if not self._given:  # the first since all worlds stepped
+        if not self._chosen:  # the first since all worlds stepped
             self.rewards = dict.fromkeys(self.agents, 0.0)
         self._cumulative_rewards[agent] = 0.0
         self._due.popleft()
-        self._given[agent] = action
+        self._chosen[agent] = action
         try:
             self._go_on(agent)
         except BaseException:  # by a device, and it may be given again
             self.rewards, self._cumulative_rewards[agent] = before
             self._due.appendleft(agent)
-            del self._given[agent]
+            del self._chosen[agent]
             raise
 
     def _check(self, action: Any) -> None:
@@ -164,12 +163,8 @@ class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
                 raise ActionError(f"{agent}: action {action!r}, but its episode has ended: it takes None")
             return
         space: Any = self.env.action_space(agent)
-        if why_not(action, space):
-            names = [field.name for field in self.env.spec.action_fields]
-            raise refuse_first([agent], [action], space, names)
-        if self.env.spec.masked == "refused":
-            slot = self.env.slots[agent]
-            refuse_masked(np.array([action]), on_host(self.env.action_masks)[slot : slot + 1], slot)
+        masks = on_host(self.env.action_masks) if self.env.spec.masked == "refused" else None
+        self.env.batch.action_rules.check_one(self.env.row_of(agent), action, space, masks)
 
     def _was_dead_step(self, action: Any) -> None:
         """Have the selected agent leave; PettingZoo's wrappers call this, too."""
@@ -182,12 +177,12 @@ class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
             self._go_on(agent)
 
     def _go_on(self, last: str) -> None:
-        """Select who is next, after a step of all worlds if nobody is due; ``last`` was selected before."""
+        """Select the next agent, after a step of all worlds if none is due; ``last`` was selected before."""
         while self.agents and not self._due:
             # Some may have ended because a wrapper says so.
             self._due.extend(filter(self._has_ended, self.agents))
             if not self._due:
-                self._play(self.env.slots[last])
+                self._play(self.env.rows[last])
         if self.agents:
             self.agent_selection = self._due[0]
 
@@ -195,9 +190,9 @@ class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
         return bool(self.terminations[agent] or self.truncations[agent])
 
     def _play(self, last: int) -> None:
-        """Step all worlds with the actions given; the agent of slot ``last`` gave the last one."""
+        """Step all worlds with the actions given; the agent of row ``last`` gave the last one."""
         observations, *results = self.env.step(self._actions())
-        self._given.clear()
+        self._chosen.clear()
         self._observations = observations
         self.rewards, self.terminations, self.truncations, self.infos = (
             {agent: values[agent] for agent in self.agents} for values in results
@@ -205,25 +200,22 @@ class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
         for agent, reward in self.rewards.items():
             self._cumulative_rewards[agent] += reward
         # They leave first, as in PettingZoo: from the one on that would have been on turn.
-        slots = [self.env.slots[agent] for agent in self.agents]
-        gone = [slot for slot in slots if not self.env.live[slot]]
-        gone = [slot for slot in gone if slot > last] + [slot for slot in gone if slot <= last]
-        self._due.extend(self.env.possible_agents[slot] for slot in gone)
+        rows = [self.env.rows[agent] for agent in self.agents]
+        leaving = [row for row in rows if not self.env.present[row]]
+        leaving = [row for row in leaving if row > last] + [row for row in leaving if row <= last]
+        self._due.extend(self.env.possible_agents[row] for row in leaving)
         self._due.extend(agent for agent in self._on_turn() if agent in self.rewards)
 
     def _actions(self) -> dict[str, Any]:
-        """Return an action for everybody that is there, of whom some are not on turn, or have left here."""
-        slots = self.env.slots
-        idle = dict.fromkeys(self.env.agents, idle_action(self.env.batch.slot_action_space))
-        if self.env.action_masks is not None:
-            allowed = on_host(self.env.action_masks).argmax(1).tolist()
-            idle = {agent: allowed[slots[agent]] for agent in idle}
-        return {**idle, **self._given}
+        """Return an action for each present agent: of some it is not the turn, and some have left here."""
+        batch, none = self.env.batch, [None] * self.env.batch_size
+        idle = batch.action_rules.with_idle(none, np.ones(len(none), np.bool_), batch.action_masks)
+        return {**{agent: idle[self.env.rows[agent]] for agent in self.env.agents}, **self._chosen}
 
     def _on_turn(self) -> list[str]:
         """Return the agents to act: all that are there, unless it is a game in which some are on turn."""
-        live = self.env.live
+        present = self.env.present
         if self.env.spec.turns:
-            turn = live & on_host(self.env.action_masks).any(1)
-            live = turn if turn.any() else live
-        return [self.env.possible_agents[slot] for slot in np.flatnonzero(live).tolist()]
+            turn = present & on_host(self.env.action_masks).any(1)
+            present = turn if turn.any() else present
+        return [self.env.possible_agents[row] for row in np.flatnonzero(present).tolist()]

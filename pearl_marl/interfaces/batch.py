@@ -14,16 +14,18 @@ from gymnasium.spaces import Box, Space
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.batch.actions import idle_action
+from pearl_marl.batch.actions import ActionRules
+from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import state_dtype
 from pearl_marl.batch.starts import checked_start
 from pearl_marl.batch.step import Array, BatchStep, on_host
 from pearl_marl.deferral import uninterrupted
-from pearl_marl.devices import BatchConfig, Device
+from pearl_marl.devices import BatchConfig, Device, Phase
 from pearl_marl.elements import ActionSpace
-from pearl_marl.errors import ArgumentError, OrderError
+from pearl_marl.errors import ArgumentError, OrderError, renamed
 from pearl_marl.interfaces.world import Mask, World
+from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.rendering import Renderer, check_render_mode, renderer
 from pearl_marl.rng import checked_seed
 
@@ -34,39 +36,36 @@ class Batch(ABC):
     Attributes
     ----------
     batch_size
-        Number of agents: worlds times agents per world. A *slot* here is the row of an agent.
+        Number of agents: worlds times agents per world. Arrays have a row for each.
     world
         How agents share states.
-    slot_observation_space, slot_action_space
-        The spaces of one slot's observation and action.
+    observation_space, action_space
+        The spaces of one agent's observation and action.
     slot_autoreset_mode
         When a slot that ended starts over: in the ``SAME_STEP``, or in the ``NEXT_STEP``. That is what
         :meth:`step_batch` does. A ``VectorEnv`` in DISABLED mode and agents that leave only hide it.
     autoreset
         Whether slots that ended start over by themselves and need no reset.
-    action_kinds
-        The kinds of dtype that actions may have.
+    action_rules
+        Which actions its agents may take.
     """
 
     def __init__(
         self,
         batch_size: int,
         observation_space: Space[Any],
-        action_space: ActionSpace,
-        action_kinds: str,
+        action_rules: ActionRules,
         autoreset: bool,
         slot_autoreset_mode: AutoresetMode,
         world: World,
     ) -> None:
         self.batch_size, self.world = batch_size, world
-        self.slot_observation_space, self.slot_action_space = observation_space, action_space
-        self.action_kinds = action_kinds
+        self.observation_space: Space[Any] = observation_space
+        self.action_space: ActionSpace = action_rules.space
+        self.action_rules = action_rules
         self.autoreset, self.slot_autoreset_mode = autoreset, slot_autoreset_mode
-        self.action_shape = action_space.shape or ()
-        # An action that is possible, for agents that need none.
-        self.idle: Any = idle_action(action_space)
-        # As `live` is another array whenever it changes, this one is known to say that everybody acts.
-        self._everybody: Mask | None = None
+        # Of this array it is known that all agents act: `present` is another one whenever it changes.
+        self._all_act: Mask | None = None
 
     def __copy__(self) -> Self:
         # Two environments that share a device would step each other's agents.
@@ -78,37 +77,24 @@ class Batch(ABC):
         return self.batch_size // self.world.agents
 
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
-        """Step every slot once; actions of agents that left or are dead are ignored."""
-        if self.live is not self._everybody or self.world.agents > 1:
+        """Step every world once; actions of agents that left or have ended before their world are ignored."""
+        if self.present is not self._all_act or self.world.agents > 1:
             actions = self.filled(actions)
-        return self.step_slots(actions)
+        return self.step_rows(actions)
 
     def filled(self, actions: npt.ArrayLike) -> npt.ArrayLike:
-        """Return actions with a possible one for agents that left or are dead, whose own is ignored."""
-        live = self.live
-        acting = live if self.world.agents == 1 else live & on_host(self.alive)
+        """Return actions with possible ones for agents that left or have ended before their world."""
+        present = self.present
+        acting = present if self.world.agents == 1 else present & on_host(self.in_episode)
         if acting.all():
-            self._everybody = live
+            self._all_act = present
             return actions
         if not self.ready:  # the device says why not
             return actions
-        if not live.any():
+        if not present.any():
             raise OrderError("step() with no agent left: every episode has ended, call reset() first")
-        given: Any = actions
-        try:
-            array = np.asarray(given.cpu() if hasattr(given, "cpu") else given)
-        except ValueError:  # a ragged list, to be refused
-            return actions
-        if not self.are_actions(array, self.batch_size):
-            return actions
-        idle = self.idle
-        if self.world.masked:  # agents that left may be in a world that runs on, and are not to be refused
-            idle = on_host(self.action_masks).argmax(1).astype(array.dtype)
-        return np.where(acting.reshape(-1, *(1,) * len(self.action_shape)), array, idle)
-
-    def are_actions(self, array: Array, count: int) -> bool:
-        """Return whether an array has the shape and kind of dtype of so many actions."""
-        return array.shape == (count, *self.action_shape) and array.dtype.kind in self.action_kinds
+        filled: npt.ArrayLike = self.action_rules.with_idle(actions, ~acting, self.action_masks)
+        return filled
 
     def reset_slots(self, mask: Mask) -> Array:
         """Begin an episode in the masked worlds, shape ``(worlds,)``; return all observations."""
@@ -123,16 +109,18 @@ class Batch(ABC):
 
     @property
     @abstractmethod
-    def live(self) -> Mask:
+    def present(self) -> Mask:
         """Which agents are present, that is, have not left for good. Shape ``(batch_size,)``.
 
-        The array is never written into. When somebody leaves or comes back, it is another one.
+        The array is never written into. When an agent leaves or comes back, it is another one.
         """
 
     @property
     @abstractmethod
-    def alive(self) -> Mask:
+    def in_episode(self) -> Mask:
         """Which agents take part in the next step: see :class:`BatchStep`."""
+
+    live, alive = renamed("live", "present"), renamed("alive", "in_episode")
 
     @property
     @abstractmethod
@@ -145,8 +133,8 @@ class Batch(ABC):
         """Whether a step is possible: after the first reset, and until closed."""
 
     @abstractmethod
-    def step_slots(self, actions: npt.ArrayLike) -> BatchStep:
-        """Do what :meth:`step_batch` does, with possible actions for agents that left or are dead."""
+    def step_rows(self, actions: npt.ArrayLike) -> BatchStep:
+        """Do what :meth:`step_batch` does, with actions that are possible where they are ignored."""
 
     @abstractmethod
     def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
@@ -182,15 +170,14 @@ class DeviceBatch(Batch):
         check_render_mode(spec, render_mode)
         # Copies, or seeding one environment's spaces would seed another's.
         observations, actions, world = deepcopy((spec.observation_space, spec.action_space, World.of(spec)))
-        kinds = "iuf" if isinstance(actions, Box) else "iu"
-        mode = config.autoreset_mode
-        super().__init__(config.n_agents, observations, actions, kinds, autoreset, mode, world)
+        rules = ActionRules.of(spec, actions, config.n_agents)
+        super().__init__(config.n_agents, observations, rules, autoreset, config.autoreset_mode, world)
         self.device = device.open(config, rewards)
         self.render_mode = render_mode
         self._leaves = leaves
-        # Nobody is there before the first reset. Arrays of `live` are replaced, never written into.
+        # No agent is present before the first reset. Arrays of `present` are replaced, never written into.
         self._all = np.ones(config.n_agents, np.bool_)
-        self._live = ~self._all
+        self._present = ~self._all
         self._random, self.np_random_seed = seeding.np_random()
         self._start: dict[str, Array] | None = None
         self._renderer: Renderer | None = None
@@ -206,14 +193,14 @@ class DeviceBatch(Batch):
         return self
 
     @property
-    def live(self) -> Mask:
+    def present(self) -> Mask:
         """See :class:`Batch`."""
-        return self._live
+        return self._present
 
     @property
-    def alive(self) -> Mask:
+    def in_episode(self) -> Mask:
         """See :class:`Batch`."""
-        return self.device.alive
+        return self.device.in_episode
 
     @property
     def action_masks(self) -> Array | None:
@@ -223,7 +210,7 @@ class DeviceBatch(Batch):
     @property
     def ready(self) -> bool:
         """See :class:`Batch`."""
-        return self.device.ready
+        return self.device.phase is Phase.READY
 
     @property
     def np_random(self) -> np.random.Generator:
@@ -262,16 +249,16 @@ class DeviceBatch(Batch):
         if seed is not None:
             self._random, self.np_random_seed = np.random.default_rng(checked_seed(seed)), int(seed)
         if mask is None:
-            self._live = self._all
+            self._present = self._all
             self._show()
         else:
-            back = self.world.rows(np.asarray(mask)) & ~self._live
+            back = self.world.rows(np.asarray(mask)) & ~self._present
             if back.any():
-                self._live = self._live | back
+                self._present = self._present | back
         return obs
 
-    def step_slots(self, actions: npt.ArrayLike) -> BatchStep:
-        """See :meth:`Batch.step_slots`."""
+    def step_rows(self, actions: npt.ArrayLike) -> BatchStep:
+        """See :meth:`Batch.step_rows`."""
         # Where nothing is noted here, the device's step is all that an interrupt could cut in two.
         if not self._leaves and self.render_mode != "human":
             return self.device.step(actions)
@@ -290,12 +277,25 @@ class DeviceBatch(Batch):
         """Wait for the step that :meth:`send` started and return its results."""
         return self._noted(self.device.recv())
 
+    def rollout(
+        self, policy: DevicePolicy, steps: int, record: bool = False, episodes: int | None = None
+    ) -> Rollout:
+        """Step every slot with a policy's actions: see :meth:`pearl_marl.devices.Device.rollout`."""
+        if not self.autoreset:
+            raise OrderError(
+                "rollout() takes an environment whose agents start over by themselves: make it with "
+                "autoreset=True, or in SAME_STEP or NEXT_STEP mode"
+            )
+        result = self.device.rollout(policy, steps, record, episodes)
+        self._show()
+        return result
+
     def _noted(self, result: BatchStep) -> BatchStep:
         """Take note of the agents that leave in a step, and show it."""
         if self._leaves:
-            leaving = on_host(result.ended) & self._live
+            leaving = on_host(result.ended) & self._present
             if leaving.any():
-                self._live = self._live & ~leaving
+                self._present = self._present & ~leaving
         self._show()
         return result
 
@@ -304,17 +304,18 @@ class DeviceBatch(Batch):
         """Return everything that what follows depends on; :meth:`load_state` takes it, on any device."""
         self.device.check_idle("save_state", ready=True)
         saved = self.device.shared_snapshot()
-        live = self._live if self._leaves else self._live[:0]
+        present = self._present if self._leaves else self._present[:0]
         identity = {**self.device.config.identity(), "autoreset": self.autoreset}
-        return replace(saved, identity=identity, live=live.view(np.uint8)).to_bytes()
+        return replace(saved, identity=identity, present=present.view(np.uint8)).to_bytes()
 
     @uninterrupted
     def load_state(self, blob: bytes) -> Array:
         """See :meth:`Batch.load_state`."""
         self.device.check_idle("load_state")
         saved = SavedState.from_bytes(blob, self.device.config, self.autoreset)
-        obs = self.device.restore(replace(saved, live=saved.live[:0]))  # which a device knows nothing of
-        self._live = saved.live.astype(np.bool_) if self._leaves else self._all
+        # A device knows nothing of agents that left.
+        obs = self.device.restore(replace(saved, present=saved.present[:0]))
+        self._present = saved.present.astype(np.bool_) if self._leaves else self._all
         return obs
 
     def render(self, world: int | None = None) -> Any:
@@ -331,7 +332,7 @@ class DeviceBatch(Batch):
         return self._renderer.render(state)
 
     def _show(self) -> None:
-        """Draw the step that was made, where somebody watches."""
+        """Draw the step that was made, in the mode for people."""
         if self.render_mode == "human":
             self.render()
 

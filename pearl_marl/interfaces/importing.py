@@ -1,4 +1,4 @@
-"""Something to do once a library has been imported, whoever imports it and whenever."""
+"""Something to do once a library has been imported, now or later, by any module."""
 
 from __future__ import annotations
 

@@ -12,16 +12,21 @@ import numpy.typing as npt
 import pettingzoo
 from gymnasium.spaces import Box, Dict, Space
 
-from pearl_marl.batch.actions import refuse_first
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.step import Array, on_host
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
-from pearl_marl.errors import ActionError, ArgumentError, OrderError
-from pearl_marl.interfaces.agent_dict import AgentDict, ended_infos, observations_in, python_values
-from pearl_marl.interfaces.agent_spaces import AgentSpaces
+from pearl_marl.errors import ActionError, ArgumentError, OrderError, renamed
+from pearl_marl.interfaces.agent_dict import (
+    AgentDict,
+    AgentList,
+    AgentSpaces,
+    Names,
+    ended_infos,
+    observations_in,
+    python_values,
+)
 from pearl_marl.interfaces.batch import Batch, DeviceBatch
-from pearl_marl.interfaces.names import AgentList, Names
 from pearl_marl.interfaces.view import View
 from pearl_marl.interfaces.world import Mask
 from pearl_marl.packing import observed_as
@@ -32,8 +37,8 @@ from pearl_marl.spec import EnvSpec, Role, snake_case
 class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # pettingzoo has no types
     """The agents of a batch as those of a PettingZoo ``ParallelEnv``, in wrappers or without.
 
-    A slot of a device is a *world*: it has one agent, or several that share its state. Agents ``agent_0`` to
-    ``agent_{K-1}`` are in the first, ``world`` is ``i // K``.
+    A slot of a device holds a *world*, which has one agent, or several that share its state. ``agent_i`` is
+    in world ``i // K``, where a world has ``K`` agents.
 
     Make one with :func:`parallel_env`. The five results of :meth:`step` are dicts that are filled
     on first use (:class:`pearl_marl.interfaces.agent_dict.AgentDict`); their ``.array`` is what the device
@@ -43,9 +48,9 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
     next, and ``infos[agent]["final_obs"]`` holds where the old one ended. With ``autoreset=False``
     it leaves ``agents`` until the next :meth:`reset`, as PettingZoo's own environments do.
 
-    A world starts over when all its agents have ended. With ``autoreset=True``, one that has ended before
-    its world stays in ``agents`` and is *dead* until then: its action is ignored, its observation zeros and
-    its reward 0, as ``alive`` says.
+    A world starts over when all its agents have ended. With ``autoreset=True``, an agent that has ended
+    before its world stays in ``agents``, but is not ``in_episode`` until then: its action is ignored, its
+    observation is zeros and its reward 0.
 
     Attributes
     ----------
@@ -54,7 +59,7 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
     env
         The environment without the outermost wrapper; only where there is one.
     possible_agents
-        The names of all agents, in the order of the slots.
+        The names of all agents, in the order of their rows.
     names
         The same, made when they are read and never changed.
     """
@@ -62,18 +67,19 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
     def __init__(self, batch: Batch, inside: Self | None = None) -> None:
         self.batch = batch
         self.inside = inside
-        count, observation_space = batch.batch_size, batch.slot_observation_space
+        count, observation_space = batch.batch_size, batch.observation_space
         self.names = Names(count)
         self.possible_agents: list[str] = AgentList(self.names)
-        # One agent's after the other in a world, or the one that is everybody's.
-        self._roles = batch.world.roles or (Role("agent", observation_space, batch.slot_action_space),)
+        # Those of a world's agents, one after the other; or the one of all agents.
+        self._roles = batch.world.roles or (Role("agent", observation_space, batch.action_space),)
         spaces = [self._observation_space(role) for role in self._roles]
         self._observation_spaces = [spaces[self._roles.index(role)] for role in self._roles]
-        self._rows = observations_in(observation_space)
-        # As `live` is another array whenever it changes, it tells whether these names of it are out of date:
-        # those that steps may keep, and the public list.
+        self._from_rows = observations_in(observation_space)
+        self._tensors = batch.innermost.device.tensors
+        # The names of present agents: those that steps may keep, and the public list. As `present` is another
+        # array whenever it changes, it says whether they are out of date.
         self._named: Mask = np.zeros(0, np.bool_)
-        self._here = Names(0)
+        self._present_agents = Names(0)
         self._agents: list[str] = []
         spec = self.spec
         self.metadata = {
@@ -112,25 +118,29 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
         return self.batch.autoreset
 
     @property
-    def live(self) -> Mask:
+    def present(self) -> Mask:
         """Which agents are present: none before the first reset. Shape ``(n_agents,)``."""
-        return self.batch.live
+        return self.batch.present
 
     @property
-    def alive(self) -> Mask:
-        """Which agents take part in the next step: all that are not dead. Shape ``(n_agents,)``."""
-        return self.batch.alive
+    def in_episode(self) -> Mask:
+        """Which agents take part in the next step: all but those that ended before their world."""
+        return self.batch.in_episode
+
+    live, alive = renamed("live", "present"), renamed("alive", "in_episode")
 
     @property
     def agents(self) -> list[str]:
-        """The names of those that are there, in the order of the slots."""
-        self._name_who_is_there()
+        """The names of present agents, in the order of their rows."""
+        self._present_names()
         return self._agents
 
     @functools.cached_property
-    def slots(self) -> dict[str, int]:
-        """Each agent's slot."""
-        return {agent: slot for slot, agent in enumerate(self.names)}
+    def rows(self) -> dict[str, int]:
+        """Each agent's row in arrays."""
+        return {agent: row for row, agent in enumerate(self.names)}
+
+    slots = renamed("slots", "rows")
 
     @property
     def agents_per_world(self) -> int:
@@ -144,7 +154,7 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
 
     def role(self, agent: str) -> str:
         """Return the name of an agent's role; ``"agent"`` where all are alike."""
-        return self._roles[self._place(agent)].name
+        return self._roles[self._index_in_world(agent)].name
 
     @functools.cached_property
     def observation_spaces(self) -> Mapping[str, Space[Any]]:
@@ -161,20 +171,20 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
 
         Where there are masks it is a ``Dict`` of ``"observation"`` and ``"action_mask"``.
         """
-        return self._observation_spaces[self._place(agent)]
+        return self._observation_spaces[self._index_in_world(agent)]
 
     def action_space(self, agent: str) -> Space[Any]:
         """Return an agent's action space, one object for all agents of its role."""
-        return self._roles[self._place(agent)].action_space
+        return self._roles[self._index_in_world(agent)].action_space
 
-    def _place(self, agent: str) -> int:
-        """Return where in its world an agent is, of as many places as there are roles."""
-        return self.slot_of(agent) % len(self._roles)
+    def _index_in_world(self, agent: str) -> int:
+        """Return which of its world's agents one is; 0 where all are alike."""
+        return self.row_of(agent) % len(self._roles)
 
-    def slot_of(self, agent: str) -> int:
-        """Return an agent's slot; refuse a name that nobody has."""
+    def row_of(self, agent: str) -> int:
+        """Return an agent's row; refuse a name that no agent has."""
         try:
-            return self.names.slot(agent)
+            return self.names.row(agent)
         except KeyError:
             raise ArgumentError(
                 f"there is no agent {agent!r}; agents are agent_0 to agent_{self.batch_size - 1}"
@@ -187,13 +197,13 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
         return Dict({"observation": role.observation_space, "action_mask": Box(0, 1, (n,), np.int8)})
 
     def step_batch(self, actions: npt.ArrayLike) -> BatchStep:
-        """Step every slot once, without any dict.
+        """Step every world once, without any dict.
 
         Parameters
         ----------
         actions
             Shape ``(n_agents, *action_space.shape)``; integers cost least in ``spec.action_dtype``.
-            What they hold for agents that have left, or are dead, is ignored.
+            What they hold for agents that have left, or have ended before their world, is ignored.
 
         Returns
         -------
@@ -218,7 +228,7 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
     def send(self, actions: npt.ArrayLike) -> None:
         """Start a step and return immediately; :meth:`recv` returns its results. Not in wrappers.
 
-        With two environments of half the slots each, one steps while the other's results are used.
+        With two environments of half the worlds each, one steps while the other's results are used.
         Takes and raises what :meth:`step_batch` does.
         """
         self.unchanged.send(actions)
@@ -263,10 +273,10 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
         innermost = self.batch.innermost
         if agent is None or innermost.render_mode is None:  # which it refuses
             return innermost.render()
-        slot = self.slot_of(agent)
-        if not innermost.live[slot]:
+        row = self.row_of(agent)
+        if not innermost.present[row]:
             raise OrderError(f"render({agent!r}): its episode has ended, and it has left until reset()")
-        return innermost.render(slot // self.agents_per_world)
+        return innermost.render(row // self.agents_per_world)
 
     def close(self) -> None:
         """Release the device and the window. Safe to call twice."""
@@ -286,10 +296,10 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
             self.batch.innermost.start_from(state)
         obs = on_host(self.reset_batch(seed))
         masks = on_host(self.action_masks) if self.batch.world.masked else None
-        nobody = np.zeros(len(obs), np.bool_)
+        none_ended = np.zeros(len(obs), np.bool_)
         return (
-            AgentDict.of(self._name_who_is_there(), obs, self._shown(masks)),
-            AgentDict.of(self.possible_agents, nobody, ended_infos(obs, self._shown_last)),
+            AgentDict.of(self._present_names(), obs, self._observations(masks)),
+            AgentDict.of(self.possible_agents, none_ended, ended_infos(obs, self._last_observations)),
         )
 
     def step(self, actions: Mapping[str, Any] | npt.ArrayLike) -> tuple[dict[str, Any], ...]:
@@ -315,86 +325,89 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
         OrderError
             Before ``reset``, after ``close``, or for an array once every agent has left.
         """
-        agents = self._name_who_is_there()
-        live = self._named
-        given: Any = actions
-        if isinstance(actions, Mapping) and self.ready:
+        agents = self._present_names()
+        present = self._named
+        batch_actions: Any = actions
+        if isinstance(actions, Mapping) and self.batch.ready:
             values = self._values(agents, actions)
             if not values:  # PettingZoo's convention, which SuperSuit's black_death needs
                 return {}, {}, {}, {}, {}
-            given = self._action_array(agents, values)
-        result = self.step_batch(given).on_host()
+            batch_actions = self._action_array(agents, values)
+        result = self.batch.step_batch(batch_actions)
+        if self._tensors:
+            result = result.on_host()
         obs, rewards, terminations, truncations, final_obs = result
-        ended, masks, here = result.ended, result.action_masks, None
+        ended, masks, rows = terminations | truncations, result.action_masks, None
         if not self.autoreset:
             # Here an agent that ended sees its last observation, and nothing of what its slot does next.
             obs = result.arrivals()
             if masks is not None:
                 masks = np.where(ended[:, None], np.int8(0), masks)
             ended = np.zeros(len(agents), np.bool_)
-            if len(agents) < len(live):
-                here = np.flatnonzero(live)
-                obs, rewards, terminations, truncations = (a[here] for a in (obs, *result[1:4]))
-                masks = None if masks is None else masks[here]
+            if len(agents) < len(present):
+                rows = np.flatnonzero(present)
+                obs, rewards, terminations, truncations = (a[rows] for a in (obs, *result[1:4]))
+                masks = None if masks is None else masks[rows]
         return (
-            AgentDict.of(agents, obs, self._shown(masks, here)),
+            AgentDict.of(agents, obs, self._observations(masks, rows)),
             AgentDict.of(agents, rewards, python_values),
             AgentDict.of(agents, terminations, python_values),
             AgentDict.of(agents, truncations, python_values),
-            AgentDict.of(agents, ended, ended_infos(final_obs, self._shown_last)),
+            AgentDict.of(agents, ended, ended_infos(final_obs, self._last_observations)),
         )
 
-    def _shown(self, masks: Array | None, slots: Array | None = None) -> Callable[[Array], Sequence[Any]]:
-        """Return what makes observations of the rows of all agents, or of those in ``slots``."""
+    def _observations(
+        self, masks: Array | None, agents: Array | None = None
+    ) -> Callable[[Array], Sequence[Any]]:
+        """Return a function that makes observations of the rows of all agents, or of those numbered."""
         if masks is None and len(self._roles) == 1:
-            return self._rows
+            return self._from_rows
         # A role's observation may be the first elements of the row, and its actions those of the mask.
-        seen = [_first(role.observation_space, self.batch.slot_observation_space) for role in self._roles]
+        elements = [_first(role.observation_space, self.batch.observation_space) for role in self._roles]
         allowed = [slice(getattr(role.action_space, "n", 0)) for role in self._roles]
 
-        def each(parts: list[Any], count: int) -> list[Any]:
-            if slots is None:
-                return parts * (count // len(parts))
-            return [parts[slot % len(parts)] for slot in slots.tolist()]
+        def by_agent(slices: list[Any], count: int) -> list[Any]:
+            if agents is None:
+                return slices * (count // len(slices))
+            return [slices[agent % len(slices)] for agent in agents.tolist()]
 
-        def shown(rows: Array) -> Sequence[Any]:
-            values = self._rows(rows)
-            if any(seen):
-                pairs = zip(values, each(seen, len(rows)), strict=True)
-                values = [value if part is None else value[part] for value, part in pairs]
+        def observations(rows: Array) -> Sequence[Any]:
+            values = self._from_rows(rows)
+            if any(elements):
+                pairs = zip(values, by_agent(elements, len(rows)), strict=True)
+                values = [value if chosen is None else value[chosen] for value, chosen in pairs]
             if masks is None:
                 return values
             return [
-                {"observation": value, "action_mask": mask[part]}
-                for value, mask, part in zip(values, masks, each(allowed, len(rows)), strict=True)
+                {"observation": value, "action_mask": mask[chosen]}
+                for value, mask, chosen in zip(values, masks, by_agent(allowed, len(rows)), strict=True)
             ]
 
-        return shown
+        return observations
 
-    def _shown_last(self, rows: Array, slots: Array) -> Sequence[Any]:
-        """Return the last observations of those in ``slots``, who may do nothing any more."""
-        n: Any = getattr(self.batch.slot_action_space, "n", 0)
+    def _last_observations(self, rows: Array, agents: Array) -> Sequence[Any]:
+        """Return the last observations of agents, by their rows and numbers; no action is allowed then."""
+        n: Any = getattr(self.batch.action_space, "n", 0)
         masks = np.zeros((len(rows), n), np.int8) if self.batch.world.masked else None
-        return self._shown(masks, slots)(rows)
+        return self._observations(masks, agents)(rows)
 
     def _action_array(self, agents: Sequence[str], values: list[Any]) -> Array:
-        """Return actions of agents as an array over all slots; the rows of agents that left hold anything."""
-        array = _array(values)
-        if not self.batch.are_actions(array, len(values)) and self.batch.world.agents > 1:
-            # What the dead give, whatever it is, is ignored.
-            acting = on_host(self.alive)[self._named].tolist()
-            values = [value if acts else self.batch.idle for value, acts in zip(values, acting, strict=True)]
-            array = _array(values)
-        if not self.batch.are_actions(array, len(values)):
-            raise refuse_first(agents, values, self.batch.slot_action_space)
+        """Return actions of agents as an array over all rows; those of agents that left hold anything."""
+        rules = self.batch.action_rules
+        array = rules.array(values)
+        if array is None and self.batch.world.agents > 1:
+            # What agents give whose episode is over, whatever it is, is ignored.
+            array = rules.array(rules.with_idle(values, ~on_host(self.in_episode)[self._named]))
+        if array is None:
+            raise rules.refusal_of(agents, values)
         if len(values) == self.batch_size:
             return array
-        whole = np.empty((self.batch_size, *self.batch.action_shape), array.dtype)
+        whole = np.empty((self.batch_size, *rules.shape), array.dtype)
         whole[self._named] = array
         return whole
 
     def _values(self, agents: Sequence[str], actions: Mapping[str, Any]) -> list[Any]:
-        """Return the actions of those that are there; none is to be for an agent that there never was."""
+        """Return the actions of present agents; refuse one for a name that no agent has."""
         try:
             values = [actions[agent] for agent in agents]
         except KeyError as missing:
@@ -410,22 +423,14 @@ class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # p
                 )
         return values
 
-    def _name_who_is_there(self) -> Names:
-        """Return the agents that are there: whatever is done to the public list, dicts keep these."""
-        live = self.live
-        if live is not self._named:
-            self._here = self.names.of(live)
-            self._agents = AgentList(self._here)
-            self._named = live
-        return self._here
-
-
-def _array(values: list[Any]) -> Array:
-    """Return values as an array; an empty one where some are sequences of other lengths."""
-    try:
-        return np.array(values)
-    except ValueError:
-        return np.empty(0)
+    def _present_names(self) -> Names:
+        """Return the names of present agents; dicts keep these, whatever is done to the public list."""
+        present = self.present
+        if present is not self._named:
+            self._present_agents = self.names.of(present)
+            self._agents = AgentList(self._present_agents)
+            self._named = present
+        return self._present_agents
 
 
 def _first(own: Space[Any], whole: Space[Any]) -> slice | None:

@@ -1,6 +1,6 @@
 """Registering environments: here, and in the registries of PettingZoo and Gymnasium.
 
-Neither library is imported for that. Whichever is there is told at once, the other when somebody imports it.
+Neither library is imported for that. One that is imported already is told at once, the other when it is.
 """
 
 from __future__ import annotations

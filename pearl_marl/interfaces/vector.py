@@ -28,7 +28,7 @@ from pearl_marl.spec import check_slots
 Observations = Array | tuple[Array, ...]
 """Of all slots, as Gymnasium batches them: those of a ``Tuple`` space are a tuple of arrays."""
 
-Shown = tuple[Observations, Array, Array, Array, dict[str, Any]]
+Results = tuple[Observations, Array, Array, Array, dict[str, Any]]
 """Observations, rewards (``float32``), terminations, truncations, infos."""
 
 
@@ -38,22 +38,22 @@ _NO_PICTURES = (
 )
 
 
-def checked_mode(given: AutoresetMode | str, render_mode: str | None) -> AutoresetMode:
+def checked_mode(mode: AutoresetMode | str, render_mode: str | None) -> AutoresetMode:
     """Return an autoreset mode by its value, or by its name as Gymnasium or the command line writes it."""
     if render_mode is not None:
         raise ArgumentError(_NO_PICTURES)
     try:
-        return AutoresetMode(given)
+        return AutoresetMode(mode)
     except ValueError:
-        name = given.upper().replace("-", "_") if isinstance(given, str) else ""
+        name = mode.upper().replace("-", "_") if isinstance(mode, str) else ""
         if name in AutoresetMode.__members__:
             return AutoresetMode[name]
         possible = ", ".join(f"{mode.name!r} or {mode.value!r}" for mode in AutoresetMode)
-        raise ArgumentError(f"autoreset_mode is {given!r}; possible are {possible}") from None
+        raise ArgumentError(f"autoreset_mode is {mode!r}; possible are {possible}") from None
 
 
 def slot_autoreset_mode(mode: AutoresetMode) -> AutoresetMode:
-    """Return when a device's slots begin again under a mode: in DISABLED mode at once, but nobody sees it."""
+    """Return when a device's slots begin again under a mode: in DISABLED mode at once, unseen."""
     return AutoresetMode.SAME_STEP if mode is AutoresetMode.DISABLED else mode
 
 
@@ -85,14 +85,14 @@ class PearlVectorEnv(View, VectorEnv[Any, Any, Any]):
         self.num_envs = count = batch.batch_size
         self.metadata = {"autoreset_mode": mode, "render_modes": []}
         self.spec = None if inside is None else inside.spec  # which gymnasium.make_vec notes
-        self.single_observation_space: Space[Any] = batch.slot_observation_space
-        self.single_action_space: Space[Any] = batch.slot_action_space
+        self.single_observation_space: Space[Any] = batch.observation_space
+        self.single_action_space: Space[Any] = batch.action_space
         self.observation_space = batch_space(self.single_observation_space, count)
         self.action_space = batch_space(self.single_action_space, count)
         self._observations = observations_in(self.single_observation_space)
         # DISABLED mode only: which wait for a reset, and what all saw last.
         self._waiting = np.zeros(count, np.bool_)
-        self._seen: Array = np.zeros(0)
+        self._last_obs: Array = np.zeros(0)
 
     def around(self, batch: Batch) -> PearlVectorEnv:
         """Return an environment like this one of a batch that changes this one's."""
@@ -124,15 +124,15 @@ class PearlVectorEnv(View, VectorEnv[Any, Any, Any]):
     def _began(self, obs: Array, mask: npt.ArrayLike | None) -> Array:
         """Take note of new episodes, in the masked slots or all; return ``obs``, all observations."""
         if self.autoreset_mode is AutoresetMode.DISABLED:
-            seen = on_host(obs).copy()
+            latest = on_host(obs).copy()
             if mask is None:
                 self._waiting = np.zeros(self.num_envs, np.bool_)
             else:
                 others = ~np.asarray(mask)
                 self._waiting = self._waiting & others
-                if len(self._seen):  # or the device was restored, and nobody has seen anything here yet
-                    seen[others] = self._seen[others]
-            self._seen = seen
+                if len(self._last_obs):  # or the device was restored, and nothing has been returned here yet
+                    latest[others] = self._last_obs[others]
+            self._last_obs = latest
         return obs
 
     @uninterrupted
@@ -161,19 +161,19 @@ class PearlVectorEnv(View, VectorEnv[Any, Any, Any]):
             self.batch.innermost.start_from(options["state"])
         obs = on_host(self.reset_batch(seed, mask))
         if self.autoreset_mode is AutoresetMode.DISABLED:
-            obs = self._seen.copy()
+            obs = self._last_obs.copy()
         return self._batched(obs), {}
 
     @uninterrupted
     def send(self, actions: npt.ArrayLike) -> None:
         """Start a step and return at once; :meth:`recv` has its results. Takes what :meth:`step` does."""
-        self.check_nobody_waits()
+        self.check_none_waits()
         self.unchanged.send(actions)
 
     @uninterrupted
-    def recv(self) -> Shown:
+    def recv(self) -> Results:
         """Wait for the step that :meth:`send` started and return what :meth:`step` would have."""
-        return self.shown(self.unchanged.recv())
+        return self._results(self.unchanged.recv())
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release the device."""
@@ -182,7 +182,7 @@ class PearlVectorEnv(View, VectorEnv[Any, Any, Any]):
         self.batch.innermost.close()
 
     @uninterrupted
-    def step(self, actions: Any) -> Shown:
+    def step(self, actions: Any) -> Results:
         """Step every sub-environment once.
 
         Parameters
@@ -201,14 +201,14 @@ class PearlVectorEnv(View, VectorEnv[Any, Any, Any]):
         OrderError
             Before ``reset``, after ``close``, or in DISABLED mode while one that ended has not been reset.
         """
-        self.check_nobody_waits()
-        return self.shown(self.batch.step_batch(actions))
+        self.check_none_waits()
+        return self._results(self.batch.step_batch(actions))
 
     def render(self) -> tuple[Any, ...] | None:
         """Refuse to draw."""
         raise OrderError(_NO_PICTURES)
 
-    def check_nobody_waits(self) -> None:
+    def check_none_waits(self) -> None:
         """Refuse a step in DISABLED mode while one that ended has not been reset."""
         if self.autoreset_mode is AutoresetMode.DISABLED and self._waiting.any():
             first = int(np.argmax(self._waiting))
@@ -217,20 +217,20 @@ class PearlVectorEnv(View, VectorEnv[Any, Any, Any]):
                 "reset(options={'reset_mask': terminations | truncations}) before the next step"
             )
 
-    def shown(self, result: BatchStep) -> Shown:
+    def _results(self, result: BatchStep) -> Results:
         """Return a step's results as Gymnasium has them."""
         result = result.on_host()
         obs, rewards, terminations, truncations, final_obs = result
         infos: dict[str, Any] = {}
         if self.autoreset_mode is AutoresetMode.DISABLED:
             obs = result.arrivals()
-            self._waiting, self._seen = result.ended, obs.copy()
+            self._waiting, self._last_obs = result.ended, obs.copy()
         elif self.autoreset_mode is AutoresetMode.SAME_STEP and (ended := result.ended).any():
             # One object an element, as Gymnasium has it, so that wrappers can replace each by another shape.
             final = np.full(self.num_envs, None, object)
-            slots = np.flatnonzero(ended)
-            for slot, observation in zip(slots.tolist(), self._observations(final_obs[slots]), strict=True):
-                final[slot] = observation
+            rows = np.flatnonzero(ended)
+            for row, observation in zip(rows.tolist(), self._observations(final_obs[rows]), strict=True):
+                final[row] = observation
             infos = {"final_obs": final, "_final_obs": ended, "final_info": {}, "_final_info": ended.copy()}
         return self._batched(obs), rewards, terminations, truncations, infos
 

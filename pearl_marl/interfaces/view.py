@@ -8,10 +8,12 @@ from typing import Any, Self
 
 import numpy as np
 
+from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.step import Array
 from pearl_marl.devices import Device
 from pearl_marl.errors import OrderError
 from pearl_marl.interfaces.batch import Batch, DeviceBatch
+from pearl_marl.policies.device_policy import DevicePolicy
 
 
 class View:
@@ -28,8 +30,9 @@ class View:
     def __getattr__(self, name: str) -> Any:
         if name not in _MOVED:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        warnings.warn(f"{name} of an environment is now batch.{name}", DeprecationWarning, stacklevel=2)
-        return getattr(self.batch, name)
+        new = _MOVED[name]
+        warnings.warn(f"{name} of an environment is now batch.{new}", DeprecationWarning, stacklevel=2)
+        return getattr(self.batch, new)
 
     @property
     def env(self) -> Self:
@@ -52,7 +55,9 @@ class View:
     def unchanged(self) -> DeviceBatch:
         """The batch of the device; refused in wrappers, which would not know what happens to it."""
         if not isinstance(self.batch, DeviceBatch):
-            raise OrderError("a wrapped environment has no send() and recv(): only step() and step_batch()")
+            raise OrderError(
+                "a wrapped environment has no send(), recv() and rollout(): only step() and step_batch()"
+            )
         return self.batch
 
     @property
@@ -93,6 +98,33 @@ class View:
         """Whether a step is possible: after the first reset, and until closed."""
         return self.batch.ready
 
+    def rollout(
+        self, policy: DevicePolicy, steps: int, record: bool = False, episodes: int | None = None
+    ) -> Rollout:
+        """Step every agent so many times with the actions of a policy in integers, in one call.
+
+        The device does it all, and the environment is then as after as many steps one by one.
+
+        Parameters
+        ----------
+        policy
+            What :func:`pearl_marl.load_policy` returns.
+        steps
+            How many, at least 1.
+        record
+            Whether to return every step, too, and not only the sums of episodes.
+        episodes
+            How many episodes of each agent count, its first; all, if not given.
+
+        Raises
+        ------
+        ArgumentError
+            The policy is none, or for another environment, or a number is impossible.
+        OrderError
+            Before the first reset, in a wrapper, or where agents do not start over by themselves.
+        """
+        return self.unchanged.rollout(policy, steps, record, episodes)
+
     def recover(self) -> None:
         """After a DeviceError, continue from where the last successful call left every agent.
 
@@ -105,7 +137,10 @@ class View:
 
 
 _MOVED = {
-    *("batch_size", "world", "slot_observation_space", "slot_action_space", "slot_autoreset_mode"),
-    *("live", "alive", "autoreset"),
+    **{name: name for name in ("batch_size", "world", "slot_autoreset_mode", "autoreset")},
+    "slot_observation_space": "observation_space",
+    "slot_action_space": "action_space",
+    "live": "present",
+    "alive": "in_episode",
 }
-"""Some of them are an environment's, too."""
+"""What is a batch's, by the names of before. Some of them are an environment's, too."""

@@ -31,7 +31,7 @@ class World(NamedTuple):
         """Return the worlds of an environment."""
         return cls(spec.agents, spec.roles, spec.masked if spec.mask_fields else "")
 
-    def shown(self, observations: Space[Any] | None, actions: ActionSpace | None) -> World:
+    def with_spaces(self, observations: Space[Any] | None, actions: ActionSpace | None) -> World:
         """Return the same worlds with these spaces for every agent; ``None`` keeps those of the roles."""
         roles = (
             Role(role.name, observations or role.observation_space, actions or role.action_space)
@@ -47,7 +47,7 @@ class World(NamedTuple):
         """Return which agents' worlds began a new episode in a step, a row an agent; SAME_STEP mode only."""
         if self.agents == 1:
             return step.ended
-        # Where somebody ended and nobody is dead, everybody has begun again.
+        # Where an agent ended and all are in an episode, the whole world has begun again.
         # Agent by agent: along the short rows, any() and all() take ten times as long.
-        ended, alive = (array.reshape(-1, self.agents).T for array in (step.ended, step.alive))
-        return self.rows(reduce(np.bitwise_or, ended) & reduce(np.bitwise_and, alive))
+        ended, in_episode = (array.reshape(-1, self.agents).T for array in (step.ended, step.in_episode))
+        return self.rows(reduce(np.bitwise_or, ended) & reduce(np.bitwise_and, in_episode))

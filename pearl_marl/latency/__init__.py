@@ -8,7 +8,8 @@
 T1 and T7 are measured on this machine, by stepping the host's half of the protocol without hardware
 (:func:`measure_host` in ``host.py``). T3 to T5 are counted: clock cycles from the memory map and the
 core's timing (:func:`step_cycles` in ``cycles.py``), as the simulated device takes them. T2 and T6 come
-from a :class:`Link`: so much for a call, so much for a byte. ``prediction.py`` puts all together.
+from a :class:`Link`: so much for a call, so much for a byte. ``prediction.py`` adds all of them up, and
+:func:`plan` chooses a build by what they predict.
 
 A rollout with a policy engine is counted likewise (:func:`rollout_step_cycles` in ``rollouts.py``).
 
@@ -21,6 +22,7 @@ May import ``devices``, ``hardware`` and what is below them.
 
 from pearl_marl.latency.cycles import axi_cycles, draws_wait, loop_cycles, step_cycles
 from pearl_marl.latency.host import HostTimes, measure_host
+from pearl_marl.latency.planning import plan
 from pearl_marl.latency.prediction import LINKS, Link, predict
 from pearl_marl.latency.rollouts import rollout_step_cycles
 
@@ -32,6 +34,7 @@ __all__ = [
     "draws_wait",
     "loop_cycles",
     "measure_host",
+    "plan",
     "predict",
     "rollout_step_cycles",
     "step_cycles",

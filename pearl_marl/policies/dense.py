@@ -1,7 +1,7 @@
 """Networks of two hidden layers with hyperbolic tangents, forward and back, compiled for a CPU.
 
-They are small, and PyTorch would spend most of its time on calling its operations and on moving what lies
-between them. Here a few rows go through all layers at once, while they are in the processor's first cache.
+They are small, and PyTorch would spend most of its time on calling operations and on moving values between
+them. Here a few rows go through all layers at once, while they are in the processor's first cache.
 Matrices are multiplied by a block of sums that stay in SIMD registers, made of LLVM's vectors.
 """
 
@@ -17,7 +17,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-from pearl_marl.compiler.loading import loop
+from pearl_marl.compiler.loading import compiled_loop
 
 Array = npt.NDArray[Any]
 
@@ -45,18 +45,18 @@ class Layers(NamedTuple):
     bias3: Array
 
 
-class Given(NamedTuple):
-    """What a network is given, a row each."""
+class Observed(NamedTuple):
+    """The inputs of a network, a row for each agent."""
 
-    x: Array  # (n, inputs) float32, as they were observed
-    mean: Array  # (inputs,) float32, by which they are standardised, and cut at 10
+    x: Array  # (n, inputs) float32, before they are standardised
+    mean: Array  # (inputs,) float32, subtracted from them, before they are clipped at 10
     scale: Array  # (inputs,) float32
     numbers: Array  # (n, parts) int64: rows of the table
     position: Array  # (n,) int64: the row of the indicator; or empty
 
 
 def _data(context: Any, builder: Any, of: Any, array: Any) -> Any:
-    # By name: nobody who only imports this package should wait for Numba's module about arrays.
+    # Imported here: importing this package should not load Numba's module about arrays.
     return import_module("numba.np.arrayobj").make_array(of)(context, builder, array).data
 
 
@@ -87,9 +87,9 @@ def _block(_: Any, c: Any, a: Any, b: Any, at: Any) -> Any:
         rows = [vector(sums, builder.add(c0, times(width, row))) for row in range(HIGH)]
         before = [builder.load(row, align=4) for row in rows]
         outside = builder.block
-        loop, after = builder.append_basic_block("sum"), builder.append_basic_block("summed")
-        builder.branch(loop)
-        builder.position_at_end(loop)
+        body, after = builder.append_basic_block("sum"), builder.append_basic_block("summed")
+        builder.branch(body)
+        builder.position_at_end(body)
         k = builder.phi(_INDEX)
         totals = [builder.phi(_VECTOR) for _ in rows]
         k.add_incoming(_INDEX(0), outside)
@@ -103,10 +103,10 @@ def _block(_: Any, c: Any, a: Any, b: Any, at: Any) -> Any:
             product = builder.fmul(spread, columns, flags=["contract"])
             summed.append(builder.fadd(total, product, flags=["contract"]))
             total.add_incoming(old, outside)
-            total.add_incoming(summed[-1], loop)
+            total.add_incoming(summed[-1], body)
         following = builder.add(k, _INDEX(1))
-        k.add_incoming(following, loop)
-        builder.cbranch(builder.icmp_signed("<", following, depth), loop, after)
+        k.add_incoming(following, body)
+        builder.cbranch(builder.icmp_signed("<", following, depth), body, after)
         builder.position_at_end(after)
         for row, total in zip(rows, summed, strict=True):
             builder.store(total, row, align=4)
@@ -127,14 +127,14 @@ def _power_of_two(_: Any, exponent: Any) -> Any:
 
 
 ARITHMETIC: Any = {"error_model": "numpy", "fastmath": {"contract"}}
-# Nobody but loops calls them: without what Python would call, they compile sooner.
+# Only loops call them: without wrappers for Python, they compile sooner.
 _FOR_LOOPS: Any = {**ARITHMETIC, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 _inlined: Callable[..., Any] = njit(forceinline=True, **_FOR_LOOPS)
 called: Callable[..., Any] = njit(**_FOR_LOOPS)
 
 FARTHEST = 10
-"""Deviations from the mean at which inputs are cut."""
+"""Deviations from the mean at which inputs are clipped."""
 
 _FARTHEST = np.float32(FARTHEST)
 _ONE, _TWO, _HALF = np.float32(1), np.float32(2), np.float32(0.5)
@@ -156,7 +156,7 @@ def exponential(x: Any) -> Any:
 
 @called
 def _tanh(h: Array, n: int) -> None:
-    """Put hyperbolic tangents in the place of the first ``n`` numbers."""
+    """Replace the first ``n`` numbers by their hyperbolic tangents."""
     for i in range(n):
         h[i] = _ONE - _TWO / (exponential(h[i] * _TWO) + _ONE)
 
@@ -189,7 +189,7 @@ class Padded(NamedTuple):
 
 
 class Tile(NamedTuple):
-    """Room for what a few rows are given and become."""
+    """Memory for the inputs of a few rows, and for what layers make of them."""
 
     x: Array
     h1: Array
@@ -223,8 +223,8 @@ def padded(layers: Layers) -> Padded:
 
 
 @called
-def tile(layers: Layers) -> Tile:
-    """Return room for a few rows."""
+def tile_of(layers: Layers) -> Tile:
+    """Return memory for a few rows."""
     width, inputs = layers.first.shape
     high, wide = ROWS * _up(width, WIDE), ROWS * _up(inputs, HIGH)
     out = ROWS * _up(layers.third.shape[0], WIDE)
@@ -247,41 +247,41 @@ def _biased(h: Array, bias: Array, rows: int) -> None:
 
 
 @called
-def ahead(layers: Layers, weights: Padded, given: Given, rows: Array, room: Tile) -> None:
-    """Compute the outputs of at most :data:`ROWS` rows, into the room."""
+def forward_rows(layers: Layers, weights: Padded, observed: Observed, rows: Array, tile: Tile) -> None:
+    """Compute the outputs of at most :data:`ROWS` rows, into the tile."""
     inputs, n = layers.first.shape[1], len(rows)
     high, wide, out = len(weights.bias1), _up(inputs, HIGH), len(weights.bias3)
-    x, h1, h2 = room.x, room.h1, room.h2
+    x, h1, h2 = tile.x, tile.h1, tile.h2
     some = _up(n, HIGH)
     _biased(h1, weights.bias1, some)
     for s in range(n):
-        for part in range(given.numbers.shape[1]):
-            number = given.numbers[rows[s], part]
+        for part in range(observed.numbers.shape[1]):
+            number = observed.numbers[rows[s], part]
             for i in range(layers.table.shape[1]):
                 h1[s * high + i] += layers.table[number, i]
-    if len(given.position):
+    if len(observed.position):
         for s in range(n):
-            number = given.position[rows[s]]
+            number = observed.position[rows[s]]
             for i in range(layers.indicator.shape[1]):
                 h1[s * high + i] += layers.indicator[number, i]
     if inputs:
         for s in range(n):
             for k in range(inputs):
-                apart = (given.x[rows[s], k] - given.mean[k]) * given.scale[k]
-                x[s * wide + k] = min(max(apart, -_FARTHEST), _FARTHEST)
+                value = (observed.x[rows[s], k] - observed.mean[k]) * observed.scale[k]
+                x[s * wide + k] = min(max(value, -_FARTHEST), _FARTHEST)
         x[n * wide : some * wide] = 0
         _product(h1, high, x, wide, 1, weights.first, high, some, high, inputs)
     _tanh(h1, some * high)
     _biased(h2, weights.bias2, some)
     _product(h2, high, h1, high, 1, weights.second, high, some, high, high)
     _tanh(h2, some * high)
-    _biased(room.outputs, weights.bias3, some)
-    _product(room.outputs, out, h2, high, 1, weights.third, out, some, out, high)
+    _biased(tile.outputs, weights.bias3, some)
+    _product(tile.outputs, out, h2, high, 1, weights.third, out, some, out, high)
 
 
 @called
-def sums(gradients: Layers) -> Padded:
-    """Return zeros, in which gradients are added up; those by tables are in their place from the first."""
+def gradient_sums(gradients: Layers) -> Padded:
+    """Return zeros to add up gradients in; gradients by tables are added up where they stay."""
     gradients.table[:] = 0
     gradients.indicator[:] = 0
     width, inputs = gradients.first.shape
@@ -315,16 +315,22 @@ def _through_tanh(by: Array, h: Array, n: int) -> None:
 
 
 @called
-def back(
-    layers: Layers, weights: Padded, given: Given, rows: Array, room: Tile, total: Padded, gradients: Layers
+def backward_rows(
+    layers: Layers,
+    weights: Padded,
+    observed: Observed,
+    rows: Array,
+    tile: Tile,
+    total: Padded,
+    gradients: Layers,
 ) -> None:
-    """Add to the sums the gradients of rows that :func:`ahead` has computed.
+    """Add to the sums the gradients of rows that :func:`forward_rows` has computed.
 
-    The room's ``outputs`` hold the gradients by these; zeros, where there is no such row or output.
+    The tile's ``outputs`` hold the gradients by these; zeros, where there is no such row or output.
     """
     outputs, n = layers.third.shape[0], len(rows)
     high, wide, out = len(weights.bias1), _up(layers.first.shape[1], HIGH), len(weights.bias3)
-    by, h1, h2, by_h2, by_h1 = room.outputs, room.h1, room.h2, room.by_h2, room.by_h1
+    by, h1, h2, by_h2, by_h1 = tile.outputs, tile.h1, tile.h2, tile.by_h2, tile.by_h1
     some = _up(n, HIGH)
     _columns(by, total.bias3, some)
     _product(total.third, high, by, 1, out, h2, high, _up(outputs, HIGH), high, some)
@@ -338,22 +344,22 @@ def back(
     _through_tanh(by_h1, h1, some * high)
     _columns(by_h1, total.bias1, some)
     if wide:
-        _product(total.first, high, room.x, 1, wide, by_h1, high, wide, high, some)
+        _product(total.first, high, tile.x, 1, wide, by_h1, high, wide, high, some)
     for s in range(n):
-        for part in range(given.numbers.shape[1]):
-            number = given.numbers[rows[s], part]
+        for part in range(observed.numbers.shape[1]):
+            number = observed.numbers[rows[s], part]
             for i in range(layers.table.shape[1]):
                 gradients.table[number, i] += by_h1[s * high + i]
-    if len(given.position):
+    if len(observed.position):
         for s in range(n):
-            number = given.position[rows[s]]
+            number = observed.position[rows[s]]
             for i in range(layers.indicator.shape[1]):
                 gradients.indicator[number, i] += by_h1[s * high + i]
 
 
 @called
-def given_back(total: Padded, gradients: Layers) -> None:
-    """Put sums in the place of gradients; those by tables are there already."""
+def store_gradients(total: Padded, gradients: Layers) -> None:
+    """Write the sums into the gradients; those by tables are there already."""
     width, inputs = gradients.first.shape
     outputs, high = gradients.third.shape[0], len(total.bias1)
     for i in range(width):
@@ -368,34 +374,34 @@ def given_back(total: Padded, gradients: Layers) -> None:
         gradients.bias3[k] = total.bias3[k]
 
 
-def _forward(layers: Layers, given: Given, outputs: Array) -> None:
+def _forward(layers: Layers, observed: Observed, outputs: Array) -> None:
     """Compute outputs, shape ``(n, outputs)``."""
-    weights, room = padded(layers), tile(layers)
+    weights, tile = padded(layers), tile_of(layers)
     out = len(weights.bias3)
     numbers = np.arange(len(outputs))
     for start in range(0, len(outputs), ROWS):
         rows = numbers[start : start + ROWS]
-        ahead(layers, weights, given, rows, room)
+        forward_rows(layers, weights, observed, rows, tile)
         for s in range(len(rows)):
             for k in range(outputs.shape[1]):
-                outputs[start + s, k] = room.outputs[s * out + k]
+                outputs[start + s, k] = tile.outputs[s * out + k]
 
 
-def _backward(layers: Layers, given: Given, by_outputs: Array, gradients: Layers) -> None:
-    """Compute gradients from those by the outputs; what lies between is computed again."""
-    weights, room, total = padded(layers), tile(layers), sums(gradients)
+def _backward(layers: Layers, observed: Observed, by_outputs: Array, gradients: Layers) -> None:
+    """Compute gradients from those by the outputs; hidden layers are computed again."""
+    weights, tile, total = padded(layers), tile_of(layers), gradient_sums(gradients)
     out = len(weights.bias3)
     numbers = np.arange(len(by_outputs))
     for start in range(0, len(by_outputs), ROWS):
         rows = numbers[start : start + ROWS]
-        ahead(layers, weights, given, rows, room)
-        room.outputs[:] = 0
+        forward_rows(layers, weights, observed, rows, tile)
+        tile.outputs[:] = 0
         for s in range(len(rows)):
             for k in range(by_outputs.shape[1]):
-                room.outputs[s * out + k] = by_outputs[start + s, k]
-        back(layers, weights, given, rows, room, total, gradients)
-    given_back(total, gradients)
+                tile.outputs[s * out + k] = by_outputs[start + s, k]
+        backward_rows(layers, weights, observed, rows, tile, total, gradients)
+    store_gradients(total, gradients)
 
 
-forward: Callable[[Layers, Given, Array], None] = loop(_forward)
-backward: Callable[[Layers, Given, Array, Layers], None] = loop(_backward)
+forward: Callable[[], Callable[[Layers, Observed, Array], None]] = compiled_loop(_forward)
+backward: Callable[[], Callable[[Layers, Observed, Array, Layers], None]] = compiled_loop(_backward)

@@ -1,9 +1,9 @@
 """Policies that run beside the environments: exact integers in, exact integers out, the same on every device.
 
-An environment shows such a policy *elements*: the numbers of an observation as the integers that they are made
-of. Those of a ``Box`` of floats are its fixed-point words; others are the elements of the observation itself.
-Chance comes from the same counter-based random numbers as an environment's (:mod:`pearl_marl.rng`), from an
-index on that no environment uses, so that a rollout is what single steps would have been.
+An environment shows such a policy *elements*: the numbers of an observation as the integers that they are
+made of. Those of a ``Box`` of floats are its fixed-point words; others are the elements of the observation
+itself. Chance comes from the same counter-based random numbers as an environment's (:mod:`pearl_marl.rng`),
+from an index on that no environment uses, so that a rollout is what single steps would have been.
 """
 
 from __future__ import annotations
@@ -38,12 +38,14 @@ class DevicePolicy(ABC):
     """A policy that every device can run beside its environments.
 
     ``spec`` is the environment that it is for, and ``draws`` how many random numbers it takes for an action.
-    Where masks forbid what a policy would choose otherwise, it takes what it likes best of the rest, or the first
-    action that is allowed. Where all are forbidden, what it chooses is ignored by the environment.
+    Where masks forbid what a policy would choose otherwise, it takes what it likes best of the rest, or the
+    first action that is allowed. Where all are forbidden, what it chooses is ignored by the environment.
     """
 
     spec: EnvSpec
     draws: int = 0
+    logits: int = 0
+    """How many logits an action is chosen by."""
 
     @abstractmethod
     def choose(self, elements: Array, agents: Array, masks: Array | None, draws: Array) -> Choice:
@@ -67,8 +69,8 @@ def policy_draws(
 ) -> Array:
     """Return the draws that a policy's actions at a tick take, ``uint32`` of shape ``(n, count)``.
 
-    ``slots`` are the global numbers of the agents' worlds, and ``agents`` their places there. Agent ``k`` of a world
-    has the indices from ``FIRST_DRAW + count * k`` on.
+    ``slots`` are the global numbers of the agents' worlds, and ``agents`` their places there. Agent ``k`` of
+    a world has the indices from ``FIRST_DRAW + count * k`` on.
     """
     result = np.empty((len(slots), count), np.uint32)
     for agent in range(per_world):
@@ -97,4 +99,3 @@ def elements_of(spec: EnvSpec) -> EnvSpec:
         observation_space=space,
         roles=roles,
     )
-

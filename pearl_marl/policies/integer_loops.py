@@ -1,12 +1,13 @@
-"""Integer networks, compiled for a CPU: a tile of agents goes through all layers while it is in the first cache.
+"""Integer networks, compiled for a CPU: a few agents at a time go through all layers, in the first cache.
 
-Inputs of a tile lie side by side, two to a word of 32 bits, as the processor's sums of products of 16 bits take them
-(``pmaddwd`` of x86, ``smlal`` of ARM; LLVM finds them by itself where it is not told).
+Inputs of a tile lie side by side, two to a word of 32 bits, as the processor's sums of products of 16 bits
+take them (``pmaddwd`` of x86, ``smlal`` of ARM; LLVM finds them by itself where it is not told).
 """
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -16,6 +17,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
+from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.policies.device_policy import Array
 from pearl_marl.policies.integer_network import ENTRIES, IntegerNetwork, Levels, Patches, Rows, Scaling
 
@@ -70,7 +72,12 @@ def prepared(network: IntegerNetwork) -> Prepared:
     none = np.zeros(0, np.int64)
     offset, multiplier, shift, limit, kind = none, none, none, 0, SCALED
     factors = np.zeros((0, 0), np.int64)
-    table, filters, filter_bias, shape = np.zeros((0, 0), np.int32), np.zeros((0, 0), np.int32), np.zeros(0, np.int32), none
+    table, filters, filter_bias, shape = (
+        np.zeros((0, 0), np.int32),
+        np.zeros((0, 0), np.int32),
+        np.zeros(0, np.int32),
+        none,
+    )
     match inputs:
         case Scaling():
             offset, multiplier, shift = (array.astype(np.int64) for array in inputs[:3])
@@ -98,7 +105,10 @@ def prepared(network: IntegerNetwork) -> Prepared:
             tables[k] = layer.activation
     if isinstance(head, Levels):
         chooses, counts, chances, chance_shift = LEVELS, none, none, 0
-        level, level_shift = np.array([head.multiplier, head.offset, head.low, head.high], np.int64), head.shift
+        level, level_shift = (
+            np.array([head.multiplier, head.offset, head.low, head.high], np.int64),
+            head.shift,
+        )
     else:
         chooses, counts = (DRAWN if len(head.weights) else GREATEST), np.array(head.counts, np.int64)
         chances, chance_shift = head.weights.astype(np.int64), head.shift
@@ -158,9 +168,7 @@ def _products(builder: Any, left: Any, right: Any) -> Any:
         )
         if lanes == LANES:
             return builder.call(function, [left, right])
-        halves = [
-            builder.call(function, [_half(builder, left, k), _half(builder, right, k)]) for k in (0, 1)
-        ]
+        halves = [builder.call(function, [_half(builder, left, k), _half(builder, right, k)]) for k in (0, 1)]
         return builder.shuffle_vector(*halves, ir.Constant(ir.VectorType(_WORD, LANES), list(range(LANES))))
 
     def every_other(vector: Any, first: int) -> Any:
@@ -197,10 +205,11 @@ def _add_products(_: Any, sums: Any, weights: Any, inputs: Any, at: Any) -> Any:
         def plus(index: Any, constant: int) -> Any:
             return builder.add(index, _INDEX(constant))
 
-        rows = [
-            [vector(out, plus(first_sum, row * TILE + v * LANES)) for v in range(VECTORS)] for row in range(HIGH)
+        places = [
+            [vector(out, plus(first_sum, row * TILE + v * LANES)) for v in range(VECTORS)]
+            for row in range(HIGH)
         ]
-        before = [[builder.load(place, align=4) for place in row] for row in rows]
+        before = [[builder.load(place, align=4) for place in row] for row in places]
         starts = [builder.add(first_weight, builder.mul(pairs, _INDEX(row))) for row in range(HIGH)]
         outside = builder.block
         again, after = builder.append_basic_block("pair"), builder.append_basic_block("summed")
@@ -208,7 +217,7 @@ def _add_products(_: Any, sums: Any, weights: Any, inputs: Any, at: Any) -> Any:
         builder.position_at_end(again)
         k = builder.phi(_INDEX)
         k.add_incoming(_INDEX(0), outside)
-        totals = [[builder.phi(_SUMS) for _ in row] for row in rows]
+        totals = [[builder.phi(_SUMS) for _ in row] for row in places]
         start = builder.mul(k, _INDEX(TILE))
         given = [
             builder.bitcast(builder.load(vector(right, plus(start, v * LANES)), align=4), _PAIRS)
@@ -231,23 +240,22 @@ def _add_products(_: Any, sums: Any, weights: Any, inputs: Any, at: Any) -> Any:
         k.add_incoming(following, again)
         builder.cbranch(builder.icmp_signed("<", following, pairs), again, after)
         builder.position_at_end(after)
+        # Phis come first in a block, so that stores have to wait.
+        results = [[builder.phi(_SUMS) for _ in row] for row in places]
         for row in range(HIGH):
             for v in range(VECTORS):
-                result = builder.phi(_SUMS)
-                result.add_incoming(before[row][v], outside)
-                result.add_incoming(summed[row][v], again)
-                # Phis come first in a block, so that stores have to wait.
-                rows[row][v] = rows[row][v], result
-        for row in rows:
-            for place, result in row:
-                builder.store(result, place, align=4)
+                results[row][v].add_incoming(before[row][v], outside)
+                results[row][v].add_incoming(summed[row][v], again)
+        for row in range(HIGH):
+            for v in range(VECTORS):
+                builder.store(results[row][v], places[row][v], align=4)
         return context.get_dummy_value()
 
     return types.void(sums, weights, inputs, at), generate
 
 
 _FOR_LOOPS: Any = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-called: Any = njit(**_FOR_LOOPS)
+called: Callable[..., Any] = njit(**_FOR_LOOPS)
 
 
 class Room(NamedTuple):
@@ -262,13 +270,9 @@ def room_for(net: Prepared) -> Room:
     """Return room for a tile."""
     pairs, outputs = 1, 1
     for layer in range(len(net.sizes)):
-        pairs, outputs = max(pairs, net.sizes[layer, 0]), max(outputs, net.sizes[layer, 1])
+        outputs = max(outputs, net.sizes[layer, 1])
+        pairs = max(pairs, net.sizes[layer, 0], outputs // 2)
     return Room(np.zeros((pairs, TILE), np.int32), np.zeros((outputs, TILE), np.int32))
-
-
-@called
-def _pair(low: Any, high: Any) -> Any:
-    return np.int32(low & 0xFFFF) | np.int32(high << 16)
 
 
 @called
@@ -282,14 +286,16 @@ def _scale(net: Prepared, elements: Array, first: int, n: int, x: Array) -> None
             x[k >> 1, s] = np.int32(low & 0xFFFF)
         if k + 1 < count:
             for s in range(n):
-                high = (elements[first + s, k + 1] - net.offset[k + 1]) * net.multiplier[k + 1] >> net.input_shift[k + 1]
+                high = (elements[first + s, k + 1] - net.offset[k + 1]) * net.multiplier[
+                    k + 1
+                ] >> net.input_shift[k + 1]
                 high = min(max(high, -net.limit), net.limit)
                 x[k >> 1, s] |= np.int32(high) << np.int32(16)
 
 
 @called
 def _see_planes(net: Prepared, elements: Array, first: int, n: int, x: Array, filtered: Array) -> None:
-    """Put what filters find in a tile's planes in pairs. Most elements are 0: each of the others is added once."""
+    """Put what filters find in a tile's planes in pairs. Most elements are 0, and cost nothing."""
     rows, columns, planes = net.shape[0], net.shape[1], net.shape[2]
     high, wide, filters = rows - 2, columns - 2, len(net.filter_bias)
     shift = net.input_shift[0]
@@ -321,8 +327,12 @@ def _activate(net: Prepared, layer: int, sums: Array, x: Array) -> None:
         table = net.tables[layer]
         for j in range(0, outputs, 2):
             for s in range(TILE):
-                low = table[min(max(sums[j, s] >> shift, np.int32(-HALF)), np.int32(HALF - 1)) + np.int32(HALF)]
-                high = table[min(max(sums[j + 1, s] >> shift, np.int32(-HALF)), np.int32(HALF - 1)) + np.int32(HALF)]
+                low = table[
+                    min(max(sums[j, s] >> shift, np.int32(-HALF)), np.int32(HALF - 1)) + np.int32(HALF)
+                ]
+                high = table[
+                    min(max(sums[j + 1, s] >> shift, np.int32(-HALF)), np.int32(HALF - 1)) + np.int32(HALF)
+                ]
                 x[j >> 1, s] = (low & np.int32(0xFFFF)) | (high << np.int32(16))
     else:
         limit, none = np.int32(net.limits[layer]), np.int32(0)
@@ -334,7 +344,9 @@ def _activate(net: Prepared, layer: int, sums: Array, x: Array) -> None:
 
 
 @called
-def add_up(net: Prepared, elements: Array, first: int, n: int, first_agent: int, room: Room, filtered: Array) -> None:
+def add_up(
+    net: Prepared, elements: Array, first: int, n: int, first_agent: int, room: Room, filtered: Array
+) -> None:
     """Compute the last sums of the ``n`` agents from ``first`` on, at most :data:`TILE`."""
     x, sums = room.x, room.sums
     if net.kind == SCALED:
@@ -373,7 +385,7 @@ def add_up(net: Prepared, elements: Array, first: int, n: int, first_agent: int,
 def choose_words(
     net: Prepared, sums: Array, first: int, n: int, masks: Array, draws: Array, words: Array, logits: Array
 ) -> None:
-    """Choose the actions of a tile by its last sums. Of no agents ``masks``, or ``logits``, there are none."""
+    """Choose the actions of a tile by its last sums; ``masks`` and ``logits`` may have no rows."""
     if net.chooses == LEVELS:
         for k in range(net.level.shape[1]):
             for s in range(n):
@@ -386,9 +398,9 @@ def choose_words(
         for s in range(n):
             best, greatest, found = 0, np.int32(0), False
             for j in range(count):
-                if not masked or masks[first + s, j]:
-                    if not found or sums[start + j, s] > greatest:
-                        best, greatest, found = j, sums[start + j, s], True
+                allowed = not masked or masks[first + s, j] != 0
+                if allowed and (not found or sums[start + j, s] > greatest):
+                    best, greatest, found = j, sums[start + j, s], True
             if net.chooses == DRAWN and found:
                 total = 0
                 for j in range(count):
@@ -415,3 +427,21 @@ def choose_words(
 def filtered_size(net: Prepared) -> int:
     """Return how many numbers filters find in an agent's planes."""
     return len(net.filter_bias) * (net.shape[0] - 2) * (net.shape[1] - 2) if net.kind == PLANES else 0
+
+
+def _act(net, elements, masks, draws, words, logits):  # type: ignore[no-untyped-def]
+    room, filtered = room_for(net), np.zeros(max(1, filtered_size(net)), np.int32)
+    for start in range(0, len(words), TILE):
+        some = min(TILE, len(words) - start)
+        add_up(net, elements, start, some, start, room, filtered)
+        choose_words(net, room.sums, start, some, masks, draws, words, logits)
+
+
+compiled_act = compiled_loop(_act)
+"""Return what chooses an action for each agent: ``act(net, elements, masks, draws, words, logits)``.
+
+``elements`` are integers of shape ``(n, elements)``, of whole worlds; ``masks``, ``int8`` of shape
+``(n, n_actions)`` or of no rows; ``draws``, ``uint32`` of shape ``(n, net.draws)``. The words of actions are
+written to ``words``, ``int64`` of shape ``(n, fields)``, and logits to ``logits``, ``int32`` of shape
+``(n, outputs)`` or of no rows.
+"""

@@ -1,12 +1,14 @@
 """Networks in integers: sums of products that are exact, so that every device computes the same.
 
 The first layer takes elements of observations in one of three ways (:class:`Scaling`, :class:`Rows`,
-:class:`Patches`). A layer's sums are shifted to the right and then looked up in a table of 1,024 numbers, or cut at
-both ends. The last sums are *logits*, of which each field of an action takes the greatest, or one that is drawn.
+:class:`Patches`). A layer's sums are shifted to the right and then looked up in a table of 1,024 numbers, or
+cut at both ends. The last sums are *logits*, of which each field of an action takes the greatest, or one that
+is drawn.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -29,7 +31,7 @@ SUM_BITS = 32
 
 
 class Scaling(NamedTuple):
-    """Elements become inputs: ``(element - offset) * multiplier >> shift``, cut at ``limit`` on both sides."""
+    """Elements become inputs: ``(element - offset) * multiplier >> shift``, cut at both limits."""
 
     offset: Array  # int64, one an element
     multiplier: Array  # int64
@@ -40,8 +42,9 @@ class Scaling(NamedTuple):
 class Rows(NamedTuple):
     """Elements choose rows of a table, ``first + factors @ elements``, which are added to the first sums.
 
-    With a row of factors for each element, each chooses for itself, as in a one-hot form. With one row of factors
-    the elements choose together, as in a table of action values: such a network needs no more than its last layer.
+    With a row of factors for each element, each chooses for itself, as in a one-hot form. With one row of
+    factors the elements choose together, as in a table of action values: such a network needs no more than
+    its last layer.
     """
 
     first: Array  # int64, one a choice
@@ -72,9 +75,9 @@ class Dense(NamedTuple):
 class Head(NamedTuple):
     """How logits become an action.
 
-    ``counts`` are the logits of each field of an action. With ``weights`` a logit is drawn: one that is ``d`` less
-    than the greatest has the weight ``weights[d >> shift]``, and one further away than the table goes the last weight.
-    Without, the greatest is taken, the first of equals.
+    ``counts`` are the logits of each field of an action. With ``weights`` a logit is drawn: one that is ``d``
+    less than the greatest has the weight ``weights[d >> shift]``, and one further away than the table goes
+    the last weight. Without, the greatest is taken, the first of equals.
     """
 
     counts: tuple[int, ...]
@@ -83,7 +86,7 @@ class Head(NamedTuple):
 
 
 class Levels(NamedTuple):
-    """How sums become an action of a ``Box``: ``sum * multiplier + offset >> shift``, cut at ``low`` and ``high``."""
+    """How sums become an action of a ``Box``: ``sum * multiplier + offset >> shift``, cut at the ends."""
 
     multiplier: Array  # int64, one a field
     offset: Array
@@ -96,8 +99,8 @@ class Levels(NamedTuple):
 class IntegerNetwork(DevicePolicy):
     """A network of integers that chooses actions.
 
-    ``indicator`` has a row for each agent of a world, ``int32`` of shape ``(agents, width)``, which is added to its
-    first sums; no rows where they are not told apart.
+    ``indicator`` has a row for each agent of a world, ``int32`` of shape ``(agents, width)``, which is added
+    to its first sums; no rows where they are not told apart.
     """
 
     spec: EnvSpec
@@ -113,6 +116,11 @@ class IntegerNetwork(DevicePolicy):
     def draws(self) -> int:  # type: ignore[override]
         """How many random numbers an action takes: one a field, if actions are drawn."""
         return len(self.head.counts) if isinstance(self.head, Head) and len(self.head.weights) else 0
+
+    @property
+    def logits(self) -> int:  # type: ignore[override]
+        """How many logits an action is chosen by; none, where sums are levels."""
+        return 0 if isinstance(self.head, Levels) else sum(self.head.counts)
 
     def choose(self, elements: Array, agents: Array, masks: Array | None, draws: Array) -> Choice:
         """See :class:`DevicePolicy`."""
@@ -134,12 +142,16 @@ class IntegerNetwork(DevicePolicy):
         first: Array | int = 0
         match inputs:
             case Scaling():
-                x = ((x - inputs.offset) * inputs.multiplier >> inputs.shift).clip(-inputs.limit, inputs.limit)
+                x = ((x - inputs.offset) * inputs.multiplier >> inputs.shift).clip(
+                    -inputs.limit, inputs.limit
+                )
             case Rows():
                 first, x = inputs.table[x @ inputs.factors.T + inputs.first].sum(1, np.int64), x[:, :0]
             case Patches():
                 planes = x.reshape(len(x), *inputs.shape)
-                patches = np.lib.stride_tricks.sliding_window_view(planes, (3, 3), (1, 2))  # (n, row, column, plane, 3, 3)
+                patches = np.lib.stride_tricks.sliding_window_view(
+                    planes, (3, 3), (1, 2)
+                )  # (n, row, column, plane, 3, 3)
                 x = np.einsum("nrcpij,fijp->nrcf", patches, inputs.weights.astype(np.int64)) + inputs.bias
                 x = (x >> inputs.shift).clip(0, inputs.limit).reshape(len(x), -1)
         if len(self.indicator):
@@ -150,7 +162,9 @@ class IntegerNetwork(DevicePolicy):
             if k + 1 < len(self.layers):
                 x = sums >> layer.shift
                 if len(layer.activation):
-                    x = layer.activation[x.clip(-ENTRIES // 2, ENTRIES // 2 - 1) + ENTRIES // 2].astype(np.int64)
+                    x = layer.activation[x.clip(-ENTRIES // 2, ENTRIES // 2 - 1) + ENTRIES // 2].astype(
+                        np.int64
+                    )
                 else:
                     x = x.clip(0, layer.limit)
         return sums.astype(np.int32)
@@ -160,7 +174,7 @@ class IntegerNetwork(DevicePolicy):
         assert isinstance(head, Head)
         allowed = np.ones(logits.shape, np.bool_) if masks is None else masks != 0
         seen = np.where(allowed, logits.astype(np.int64), -(1 << 62))
-        best = seen.argmax(1)
+        best: Array = seen.argmax(1)
         if drawn is None:
             return best
         distance = (seen.max(1, keepdims=True) - seen) >> head.shift
@@ -168,7 +182,23 @@ class IntegerNetwork(DevicePolicy):
         ends = weights.cumsum(1)
         # As fairly as a product of 32 bits allows: see `golden.uniform_below`.
         number = (drawn.astype(np.uint64) * ends[:, -1]) >> np.uint64(32)
-        return np.where(ends[:, -1] > 0, (number[:, None] >= ends).sum(1), best)
+        drawn_one: Array = np.where(ends[:, -1] > 0, (number[:, None] >= ends).sum(1), best)
+        return drawn_one
+
+
+def table_network(spec: EnvSpec, values: Array) -> IntegerNetwork:
+    """Return the policy that takes the greatest of the values of an observation, the first of equals.
+
+    ``values`` are integers of 32 bits of shape ``(observations, actions)``; observations are counted as a
+    NumPy array of shape ``(*elements, actions)`` counts its rows.
+    """
+    low, high = (end.ravel().astype(np.int64) for end in bounds(spec.observation_space))
+    sizes = high - low + 1
+    strides = np.array([math.prod(sizes[k + 1 :].tolist()) for k in range(len(sizes))], np.int64)
+    rows = Rows(np.array([-(low * strides).sum()]), strides[None], values.astype(np.int32))
+    actions = values.shape[1]
+    layer = Dense(np.zeros((actions, 0), np.int16), np.zeros(actions, np.int32))
+    return IntegerNetwork(spec, rows, np.zeros((0, actions), np.int32), (layer,), Head((actions,)))
 
 
 def _check(network: IntegerNetwork) -> None:
@@ -178,27 +208,39 @@ def _check(network: IntegerNetwork) -> None:
     def refuse(what: str) -> None:
         raise ArgumentError(f"this is no network for {spec.name}: {what}")
 
+    def within(what: str, numbers: Array, most: int) -> None:
+        for number in (numbers.min(), numbers.max()):
+            if not 0 <= number <= most:
+                refuse(f"{what} is {number}; possible are 0 to {most:,}")
+
     if not layers:
         refuse("it has no layers")
+    if network.indicator.ndim != 2 or any(
+        layer.weights.ndim != 2 or layer.bias.ndim != 1 for layer in layers
+    ):
+        refuse("weights have two axes, and biases one")
     elements = spec.observation_size
     match inputs:
         case Scaling():
             width, most = elements, np.full(elements, inputs.limit)
-            for name, array in zip(("offset", "multiplier", "shift"), inputs, strict=False):
-                if np.shape(array) != (elements,):
-                    refuse(f"{name} has the shape {np.shape(array)}, and an observation {elements} elements")
-            if np.min(inputs.multiplier) < 0 or np.max(inputs.multiplier) >= 1 << 31:
-                refuse(f"a multiplier is {np.min(inputs.multiplier)} or {np.max(inputs.multiplier)}; possible are 0 to 2**31 - 1")
-            if np.min(inputs.shift) < 0 or np.max(inputs.shift) > 62:
-                refuse(f"a shift is {np.min(inputs.shift)} or {np.max(inputs.shift)}; possible are 0 to 62")
+            arrays = {"offset": inputs.offset, "multiplier": inputs.multiplier, "shift": inputs.shift}
+            for name, array in arrays.items():
+                if array.shape != (elements,):
+                    refuse(f"{name} has the shape {array.shape}, and an observation {elements} elements")
+            within("a multiplier", inputs.multiplier, (1 << 31) - 1)
+            within("a shift", inputs.shift, 62)
             if not 1 <= inputs.limit < 1 << PRODUCT_BITS - 1:
-                refuse(f"the limit of inputs is {inputs.limit}; possible are 1 to {(1 << PRODUCT_BITS - 1) - 1}")
+                refuse(
+                    f"the limit of inputs is {inputs.limit}; possible are 1 to {(1 << PRODUCT_BITS - 1) - 1}"
+                )
             added: Array | int = 0
         case Rows():
             width, most = 0, np.zeros(0, np.int64)
             choices = len(inputs.first)
             if inputs.factors.shape != (choices, elements) or inputs.table.ndim != 2:
-                refuse(f"factors have the shape {inputs.factors.shape}, and an observation {elements} elements")
+                refuse(
+                    f"factors have the shape {inputs.factors.shape}, and an observation {elements} elements"
+                )
             low, high = (end.ravel().astype(np.int64) for end in bounds(spec.observation_space))
             ends = np.stack([inputs.factors * low, inputs.factors * high])
             least, greatest = ends.min(0).sum(1) + inputs.first, ends.max(0).sum(1) + inputs.first
@@ -208,8 +250,12 @@ def _check(network: IntegerNetwork) -> None:
         case Patches():
             rows, columns, planes = inputs.shape
             if spec.observation_shape != inputs.shape or inputs.weights.shape[1:] != (3, 3, planes):
-                refuse(f"patches of {inputs.shape}, where observations have the shape {spec.observation_shape}")
-            sums = np.abs(inputs.weights.astype(np.int64)).sum((1, 2, 3)) + np.abs(inputs.bias.astype(np.int64))
+                refuse(
+                    f"patches of {inputs.shape}, where observations have the shape {spec.observation_shape}"
+                )
+            sums = np.abs(inputs.weights.astype(np.int64)).sum((1, 2, 3)) + np.abs(
+                inputs.bias.astype(np.int64)
+            )
             if sums.max() >= 1 << SUM_BITS - 1:
                 refuse(f"sums of patches may reach {sums.max():,}, and have {SUM_BITS} bits")
             width = len(inputs.bias) * (rows - 2) * (columns - 2)
@@ -220,7 +266,7 @@ def _check(network: IntegerNetwork) -> None:
         added = added + int(np.abs(network.indicator.astype(np.int64)).max(initial=0))
     for k, layer in enumerate(layers):
         if layer.weights.shape != (len(layer.bias), width):
-            refuse(f"layer {k} has weights of shape {layer.weights.shape}, and takes {width} inputs to {len(layer.bias)} sums")
+            refuse(f"layer {k} has weights of shape {layer.weights.shape}, and takes {width} inputs")
         sums = np.abs(layer.weights.astype(np.int64)) @ most + np.abs(layer.bias.astype(np.int64)) + added
         if sums.size and sums.max() >= 1 << SUM_BITS - 1:
             refuse(f"sums of layer {k} may reach {sums.max():,}, and have {SUM_BITS} bits")
@@ -228,19 +274,39 @@ def _check(network: IntegerNetwork) -> None:
             refuse(f"layer {k} shifts by {layer.shift}; possible are 0 to {SUM_BITS - 1}")
         if k + 1 < len(layers):
             if layer.activation.shape not in ((0,), (ENTRIES,)):
-                refuse(f"layer {k} has a table of shape {layer.activation.shape}; it takes {ENTRIES:,} numbers")
-            limit = layer.limit if not len(layer.activation) else int(np.abs(layer.activation.astype(np.int64)).max())
+                refuse(
+                    f"layer {k} has a table of shape {layer.activation.shape}; it takes {ENTRIES:,} numbers"
+                )
+            limit = (
+                layer.limit
+                if not len(layer.activation)
+                else int(np.abs(layer.activation.astype(np.int64)).max())
+            )
             if not 0 <= limit < 1 << PRODUCT_BITS - 1:
-                refuse(f"what layer {k} makes may reach {limit}; possible are 0 to {(1 << PRODUCT_BITS - 1) - 1}")
+                refuse(
+                    f"what layer {k} makes may reach {limit}; possible are 0 to {(1 << PRODUCT_BITS - 1) - 1}"
+                )
             width, added, most = len(layer.bias), 0, np.full(len(layer.bias), limit)
     outputs, head = len(layers[-1].bias), network.head
     if isinstance(head, Levels):
         needed = len(spec.action_fields) if not spec.action_counts else -1
+        for name, array in head._asdict().items():
+            if name != "shift" and array.shape != (len(spec.action_fields),):
+                refuse(f"{name} has the shape {array.shape}, and an action {len(spec.action_fields)} fields")
+        within("a multiplier", head.multiplier, (1 << 31) - 1)
+        within("an offset", np.abs(head.offset), (1 << 62) - 1)
+        for least, greatest, field in zip(head.low, head.high, spec.action_fields, strict=True):
+            if not field.range[0] <= least <= greatest <= field.range[1]:
+                refuse(f"actions from {least} to {greatest} do not fit the field {field.name}")
     else:
         needed = sum(head.counts) if head.counts == spec.action_counts else -1
+        if not 0 <= head.shift < SUM_BITS:
+            refuse(f"distances are shifted by {head.shift}; possible are 0 to {SUM_BITS - 1}")
         if head.weights.shape not in ((0,), (ENTRIES,)):
             refuse(f"the weights of chances have the shape {head.weights.shape}; they take {ENTRIES:,}")
-        if len(head.weights) and not (0 <= head.weights.min() and 0 < head.weights[0] and head.weights.max() < 1 << 16):
-            refuse("the weights of chances are not from 0 to 65535, the first above 0")
+        if len(head.weights):
+            within("a weight of a chance", head.weights, 65535)
+            if not head.weights[0]:
+                refuse("the best action has no chance: the first weight is 0")
     if outputs != needed:
         refuse(f"it has {outputs} outputs for actions in {spec.action_space}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,17 +12,17 @@ from gymnasium.spaces import Box, Space
 from torch import Tensor, nn
 
 from pearl_marl.elements import are_numbers, bounds
-from pearl_marl.errors import ArgumentError, shown
+from pearl_marl.errors import ArgumentError
 from pearl_marl.packing import unpacked
 from pearl_marl.policies import dense
 from pearl_marl.spec import EnvSpec
 
 Array = npt.NDArray[Any]
 
-_NOTHING = torch.empty(0, 1)
+_EMPTY = torch.empty(0, 1)
 
 SHARING = ("all", "indicator", "none")
-"""What the networks of a world's agents have in common: see :class:`NetworkPolicy`."""
+"""Whether the agents of a world share a network: see :class:`NetworkPolicy`."""
 
 MASKED = torch.finfo(torch.float32).min
 """The output of a masked action. Minus infinity would do for its probability, but makes the entropy NaN.
@@ -34,53 +34,32 @@ def masked(outputs: Tensor, masks: Tensor | None) -> Tensor:
     return outputs if masks is None else outputs.masked_fill(masks == 0, MASKED)
 
 
-_GIVEN = "bound", "offsets"
-"""Buffers that follow from the environment, and are not learned."""
+def most(outputs: Tensor, heads: Sequence[int]) -> Tensor:
+    """Return the numbers of the greatest outputs: ``int64``, one for each field of an action.
 
-
-def check_weights(module: nn.Module, tensors: Any, whose: str) -> None:
-    """Refuse tensors from a file that are not those of a module, or that no training leaves.
-
-    Compiled loops trust them: with other offsets, they would read what is beside a table.
+    ``heads`` says how many outputs each field has; without any, an action is one number.
     """
-    wanted = module.state_dict()
-    found = tensors if isinstance(tensors, Mapping) else {}
-    for name in {**wanted, **found}:
-        kinds = [
-            f"{of[name].dtype} of shape {tuple(of[name].shape)}"
-            if isinstance(of.get(name), Tensor)
-            else "nothing"
-            for of in (found, wanted)
-        ]
-        if kinds[0] != kinds[1]:
-            raise ArgumentError(
-                f"its tensors are not those of {whose}: {shown(name)} is {kinds[0]}, not {kinds[1]}"
-            )
-        tensor, last = found[name], name.rpartition(".")[2]
-        if not tensor.isfinite().all():
-            raise ArgumentError(f"{name} has NaN or an infinity among its numbers: the training diverged")
-        if last in _GIVEN and not tensor.equal(wanted[name].to(tensor.device)):
-            raise ArgumentError(f"{name} has other numbers than {whose} has")
-        if last in ("variance", "count") and tensor.min() < 0:
-            raise ArgumentError(f"{name} has a number below 0")
+    if not heads:
+        return outputs.argmax(-1)
+    return torch.stack([field.argmax(-1) for field in torch.split(outputs, list(heads), -1)], -1)
 
 
 class _Dense(torch.autograd.Function):
-    """The outputs of a :class:`Network` by compiled loops, of which the gradients follow likewise."""
+    """The outputs of a :class:`Network` by compiled loops, which also find the gradients."""
 
     @staticmethod
-    def forward(ctx: Any, network: Network, given: dense.Given, *_: Tensor) -> Tensor:
-        """Return the outputs; the rest of what is given are the network's parameters."""
-        ctx.network, ctx.given = network, given
-        return network.of_given(given)
+    def forward(ctx: Any, network: Network, observed: dense.Observed, *_: Tensor) -> Tensor:
+        """Return the outputs; the other arguments are the network's parameters."""
+        ctx.network, ctx.observed = network, observed
+        return network.dense_outputs(observed)
 
     @staticmethod
     def backward(ctx: Any, by_outputs: Tensor) -> tuple[Tensor | None, ...]:
         """Return the gradients by the parameters."""
-        made = {parameter: torch.empty_like(parameter) for parameter in ctx.network.parameters()}
-        gradients = ctx.network.layers(made.__getitem__)
-        dense.backward(ctx.network.layers(), ctx.given, by_outputs.contiguous().numpy(), gradients)
-        return None, None, *made.values()
+        found = {parameter: torch.empty_like(parameter) for parameter in ctx.network.parameters()}
+        weights, gradients = ctx.network.layers(), ctx.network.layers(found)
+        dense.backward()(weights, ctx.observed, by_outputs.contiguous().numpy(), gradients)
+        return None, None, *found.values()
 
 
 class Encoder(nn.Module):
@@ -88,7 +67,7 @@ class Encoder(nn.Module):
 
     Numbers (``Discrete``, a ``Tuple`` of it, ``MultiDiscrete``, ``MultiBinary``) choose rows of a table,
     which is what a linear layer over their one-hot form computes. Vectors are standardised by the statistics
-    of all that were seen in training, then go through a linear layer. Pictures (``Box`` of three axes,
+    of all observations in training, then go through a linear layer. Pictures (``Box`` of three axes,
     channels last) go through a convolution, as in MinAtar's DQN. Observations that the environment ``packs``
     may be given packed.
     """
@@ -136,10 +115,12 @@ class Encoder(nn.Module):
         rows = self.whole(obs).reshape(len(obs), self.mean.numel()).double()
         variance, mean = torch.var_mean(rows, 0, correction=0)
         total = self.count + len(rows)
-        apart = mean - self.mean
-        spread = self.variance * self.count + variance * len(rows) + apart**2 * self.count * len(rows) / total
-        self.mean += apart * len(rows) / total
-        self.variance.copy_(spread / total)
+        shift = mean - self.mean
+        squares = (
+            self.variance * self.count + variance * len(rows) + shift**2 * self.count * len(rows) / total
+        )
+        self.mean += shift * len(rows) / total
+        self.variance.copy_(squares / total)
         self.count.copy_(total)
 
     def whole(self, obs: Tensor) -> Tensor:
@@ -157,10 +138,10 @@ class Encoder(nn.Module):
         if self.kind == "picture":
             planes = obs.permute(0, 3, 1, 2).float()
             # Channels stay last, as they are in the observations: to reorder them would be a copy.
-            given = self.convolution(planes).relu_().permute(0, 2, 3, 1).flatten(1)
+            vectors = self.convolution(planes).relu_().permute(0, 2, 3, 1).flatten(1)
         else:
-            given = self.standardised(obs)
-        features: Tensor = self.linear(given)
+            vectors = self.standardised(obs)
+        features: Tensor = self.linear(vectors)
         return features
 
     def numbers(self, obs: Tensor) -> Tensor:
@@ -168,20 +149,20 @@ class Encoder(nn.Module):
         return obs.reshape(len(obs), self.offsets.numel()) + self.offsets
 
     def standardised(self, obs: Tensor) -> Tensor:
-        """Return vectors by the statistics of those that were seen, shape ``(batch, inputs)``."""
+        """Return vectors standardised by the statistics, shape ``(batch, inputs)``."""
         mean, scale = self.statistics()
         rows = obs.reshape(len(obs), self.mean.numel())
         return ((rows - mean) * scale).clamp(-dense.FARTHEST, dense.FARTHEST)
 
     def statistics(self) -> tuple[Tensor, Tensor]:
-        """Return what vectors are standardised by: what is taken from them, and their factors."""
+        """Return the means that are taken from vectors, and the factors that the rest is multiplied by."""
         return self.mean.float(), (self.variance + 1e-8).rsqrt().float()
 
 
 class Network(nn.Module):
     """An :class:`Encoder`, a hidden layer as wide, and an output layer whose first weights have ``scale``.
 
-    With ``positions``, the first layer is told who of so many agents of a world it is, too.
+    With ``positions``, the first layer is also told which of so many agents of a world it is for.
     """
 
     def __init__(
@@ -207,7 +188,7 @@ class Network(nn.Module):
         self.encoder.see(obs)
 
     def features(self, obs: Tensor, position: Tensor | None = None) -> Tensor:
-        """Return what the output layer is given, shape ``(batch, width)``."""
+        """Return the inputs of the output layer, shape ``(batch, width)``."""
         first = self.encoder(obs)
         if self.indicator is not None:
             first = first + self.indicator(position)
@@ -221,73 +202,76 @@ class Network(nn.Module):
         if not is_dense(self):
             outputs = self.output(self.features(obs, position))
         elif torch.is_grad_enabled():
-            outputs = _Dense.apply(self, self.given(obs, position), *self.parameters())  # type: ignore[no-untyped-call]
+            outputs = _Dense.apply(self, self.observed(obs, position), *self.parameters())  # type: ignore[no-untyped-call]
         else:
-            outputs = self.of_given(self.given(obs, position))
+            outputs = self.dense_outputs(self.observed(obs, position))
         return outputs
 
-    def layers(self, of: Callable[[Tensor], Tensor] = lambda parameter: parameter) -> dense.Layers:
-        """Return the weights, or what belongs to each of them, as compiled loops take them."""
-        encoder, nothing = self.encoder, _NOTHING.expand(0, self.hidden.in_features)
-        if encoder.kind == "numbers":
-            first, table, bias = nothing.t(), of(encoder.table.weight), of(encoder.bias)
-        else:
-            first, table, bias = of(encoder.linear.weight), nothing, of(encoder.linear.bias)
-        indicator = nothing if self.indicator is None else of(self.indicator.weight)
-        hidden, output = self.hidden, self.output
-        others = map(of, (hidden.weight, hidden.bias, output.weight, output.bias))
-        arrays = (tensor.detach().numpy() for tensor in (first, table, indicator, bias, *others))
-        return dense.Layers(*arrays)
+    def layers(self, instead: Mapping[Tensor, Tensor] | None = None) -> dense.Layers:
+        """Return the weights as compiled loops take them, or the tensors that stand for them ``instead``."""
+        encoder, empty = self.encoder, _EMPTY.expand(0, self.hidden.in_features)
+        numbers = encoder.kind == "numbers"
+        tensors: tuple[Tensor, ...] = (
+            empty.t() if numbers else encoder.linear.weight,
+            encoder.table.weight if numbers else empty,
+            empty if self.indicator is None else self.indicator.weight,
+            encoder.bias if numbers else encoder.linear.bias,
+            *(self.hidden.weight, self.hidden.bias, self.output.weight, self.output.bias),
+        )
+        if instead is not None:
+            tensors = tuple(instead.get(tensor, tensor) for tensor in tensors)
+        return dense.Layers(*(tensor.detach().numpy() for tensor in tensors))
 
-    def given(self, obs: Tensor, position: Tensor | None) -> dense.Given:
+    def observed(self, obs: Tensor, position: Tensor | None) -> dense.Observed:
         """Return observations as compiled loops take them."""
         encoder, n = self.encoder, len(obs)
         obs = encoder.whole(obs)
         mean = scale = np.empty(0, np.float32)
-        x, numbers, whose = np.empty((n, 0), np.float32), np.empty((n, 0), np.int64), np.empty(0, np.int64)
+        x, numbers = np.empty((n, 0), np.float32), np.empty((n, 0), np.int64)
+        positions = np.empty(0, np.int64)
         if encoder.kind == "numbers":
             numbers = encoder.numbers(obs).contiguous().numpy()
         else:
             mean, scale = (tensor.numpy() for tensor in encoder.statistics())
             x = obs.reshape(n, len(mean)).float().contiguous().numpy()
         if self.indicator is not None:
-            whose = torch.as_tensor(position).contiguous().numpy()
-        return dense.Given(x, mean, scale, numbers, whose)
+            positions = torch.as_tensor(position).contiguous().numpy()
+        return dense.Observed(x, mean, scale, numbers, positions)
 
-    def of_given(self, given: dense.Given) -> Tensor:
+    def dense_outputs(self, observed: dense.Observed) -> Tensor:
         """Return the outputs, by compiled loops."""
-        outputs = np.empty((len(given.x), self.output.out_features), np.float32)
-        dense.forward(self.layers(), given, outputs)
+        outputs = np.empty((len(observed.x), self.output.out_features), np.float32)
+        dense.forward()(self.layers(), observed, outputs)
         return torch.from_numpy(outputs)
 
 
 def is_dense(network: nn.Module) -> bool:
-    """Return whether compiled loops can do all of it: no picture, no networks apart, no GPU."""
+    """Return whether compiled loops can do all of it: no picture, no separate networks, no GPU."""
     if not isinstance(network, Network):
         return False
     return network.encoder.kind != "picture" and not network.output.weight.is_cuda
 
 
-class Apart(nn.ModuleList):
-    """A :class:`Network` for each agent of a world, which have nothing in common."""
+class SeparateNetworks(nn.ModuleList):
+    """A :class:`Network` for each agent of a world, which share nothing."""
 
     def see(self, obs: Tensor, position: Tensor) -> None:
-        """Take a batch of observations into the statistics of those that they are for."""
+        """Take a batch of observations into the statistics of the networks that they are for."""
         for k, network in enumerate(self):
             network.see(obs[position == k])  # type: ignore[operator]
 
     def forward(self, obs: Tensor, position: Tensor) -> Tensor:
         """Return the outputs, shape ``(batch, outputs)``."""
         rows = [(position == k).nonzero()[:, 0] for k in range(len(self))]
-        outputs = torch.cat([network(obs[each]) for network, each in zip(self, rows, strict=True)])
+        outputs = torch.cat([network(obs[own]) for network, own in zip(self, rows, strict=True)])
         return outputs[torch.cat(rows).argsort()]
 
 
 def networks(
     spec: EnvSpec, outputs: int, width: int, scale: float = 1.0, sharing: str = "all"
-) -> Network | Apart:
-    """Return what maps observations of a world's agents to ``outputs``; ``sharing`` is of :data:`SHARING`."""
+) -> Network | SeparateNetworks:
+    """Return networks for a world's agents, with so many outputs; ``sharing`` is of :data:`SHARING`."""
     space = spec.observation_space
     if sharing == "none":
-        return Apart(Network(space, outputs, width, scale, packs=spec) for _ in range(spec.agents))
+        return SeparateNetworks(Network(space, outputs, width, scale, packs=spec) for _ in range(spec.agents))
     return Network(space, outputs, width, scale, spec.agents if sharing == "indicator" else 0, spec)

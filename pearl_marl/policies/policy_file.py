@@ -1,4 +1,4 @@
-"""The file of a trained policy: tensors, what they are of, and a checksum over all of it.
+"""The file of a trained policy: tensors, a description, and a checksum over all of it.
 
 A ``safetensors`` file, which other programs read too. Its metadata have ``format``, ``policy`` (JSON) and
 ``checksum``: SHA-256 of the header without it, in :func:`sealed`'s form, and of the tensors' bytes.
@@ -9,11 +9,12 @@ from __future__ import annotations
 import hashlib
 import json
 import struct
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from safetensors.torch import load, save
-from torch import Tensor
+from torch import Tensor, nn
 
 from pearl_marl.errors import ArgumentError, shown
 from pearl_marl.files import check_readable, replace_file
@@ -28,9 +29,9 @@ def write(path: Path, about: dict[str, Any], tensors: dict[str, Tensor]) -> None
 
 
 def read(path: Path) -> tuple[Any, dict[str, Tensor]]:
-    """Return what a file says of its policy, and its tensors; or raise ArgumentError.
+    """Return a policy's description in a file, and its tensors; or raise ArgumentError.
 
-    Nothing is allocated for what the file does not hold, and a bit that flipped anywhere is noticed.
+    No memory is taken for more than the file holds, and a bit that flipped anywhere is noticed.
     """
     try:
         check_readable(path)
@@ -63,6 +64,37 @@ def read(path: Path) -> tuple[Any, dict[str, Tensor]]:
         raise
     except Exception:  # whatever the library makes of places and types of tensors that nobody writes
         raise ArgumentError(f"{path} is damaged: its tensors are not where its header says") from None
+
+
+_FIXED = "bound", "offsets"
+"""Buffers that follow from the environment, and are not learned."""
+
+
+def check_weights(module: nn.Module, tensors: Any, owner: str) -> None:
+    """Refuse tensors from a file that are not those of a module, or that no training leaves.
+
+    Compiled loops trust them: with other offsets, they would read beside a table.
+    """
+    wanted = module.state_dict()
+    found = tensors if isinstance(tensors, Mapping) else {}
+    for name in {**wanted, **found}:
+        kinds = [
+            f"{of[name].dtype} of shape {tuple(of[name].shape)}"
+            if isinstance(of.get(name), Tensor)
+            else "nothing"
+            for of in (found, wanted)
+        ]
+        if kinds[0] != kinds[1]:
+            raise ArgumentError(
+                f"its tensors are not those of {owner}: {shown(name)} is {kinds[0]}, not {kinds[1]}"
+            )
+        tensor, last = found[name], name.rpartition(".")[2]
+        if not tensor.isfinite().all():
+            raise ArgumentError(f"{name} has NaN or an infinity among its numbers: the training diverged")
+        if last in _FIXED and not tensor.equal(wanted[name].to(tensor.device)):
+            raise ArgumentError(f"{name} has other numbers than {owner} has")
+        if last in ("variance", "count") and tensor.min() < 0:
+            raise ArgumentError(f"{name} has a number below 0")
 
 
 def sealed(content: bytes) -> bytes:

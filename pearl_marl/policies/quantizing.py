@@ -1,4 +1,4 @@
-"""From a trained policy to one in integers: weights of a few bits, and tables for what lies between layers."""
+"""From a trained policy to one in integers: weights of a few bits, and tables between layers."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from pearl_marl.policies.integer_network import (
     Patches,
     Rows,
     Scaling,
+    table_network,
 )
 from pearl_marl.policies.network import Network
 from pearl_marl.policies.trained import NetworkPolicy, Table
-from pearl_marl.spec import EnvSpec
 
 INPUT_STEPS = 128
 """Inputs that are standardised are counted in parts of a standard deviation: so many."""
@@ -48,11 +48,11 @@ def quantized(
     Parameters
     ----------
     policy
-        What was trained. One that draws its actions is drawn from here too; one that takes a share of random actions
-        takes the best only.
+        What was trained. One that draws its actions is drawn from here too; one that takes a share of random
+        actions takes the best only.
     observations
-        Some that it meets, of shape ``(n, *spec.observation_shape)``: the range of what pictures become follows from
-        them.
+        Some that it meets, of shape ``(n, *spec.observation_shape)``: the range of what pictures become
+        follows from them.
     weight_bits, activation_bits
         Widths of weights, and of what goes from one layer to the next, 4 to 16.
 
@@ -69,37 +69,22 @@ def quantized(
     network: Any = policy.network
     if not isinstance(network, Network):
         raise ArgumentError(
-            "the policy has a network of its own for each agent of a world, and only shared ones become integers: "
-            "train it with sharing all or indicator"
+            "the policy has a network of its own for each agent of a world, and only shared ones become "
+            "integers: train it with sharing all or indicator"
         )
-    made = _Quantizing(policy, network, observations, (1 << weight_bits - 1) - 1, (1 << activation_bits - 1) - 1)
+    made = _Quantizing(
+        policy, network, observations, (1 << weight_bits - 1) - 1, (1 << activation_bits - 1) - 1
+    )
     return made.network()
 
 
 def _of_table(policy: Table) -> IntegerNetwork:
-    """Return a table of action values: as integers that are ordered as the values are, the first of equals first."""
+    """Return a table of action values as integers, in the order of the values."""
     if len(policy.values) != 1:
-        raise ArgumentError(f"the policy has {len(policy.values)} tables, one for each of its learners: choose one")
+        raise ArgumentError(f"the policy has {len(policy.values)} tables, a learner each: take one of them")
     values = policy.values[0].numpy()
     ranks = np.stack([np.unique(row, return_inverse=True)[1] for row in values])
     return table_network(policy.spec, ranks)
-
-
-def table_network(spec: EnvSpec, values: Array) -> IntegerNetwork:
-    """Return the policy that takes the greatest of the values of an observation, the first of equals.
-
-    ``values`` are integers of 32 bits of shape ``(observations, actions)``; observations are counted as a NumPy array
-    of shape ``(*elements, actions)`` counts its rows.
-    """
-    from pearl_marl.elements import bounds
-
-    low, high = (end.ravel().astype(np.int64) for end in bounds(spec.observation_space))
-    sizes = high - low + 1
-    strides = np.array([math.prod(sizes[k + 1 :].tolist()) for k in range(len(sizes))], np.int64)
-    rows = Rows(np.array([-(low * strides).sum()]), strides[None], values.astype(np.int32))
-    actions = values.shape[1]
-    layer = Dense(np.zeros((actions, 0), np.int16), np.zeros(actions, np.int32))
-    return IntegerNetwork(spec, rows, np.zeros((0, actions), np.int32), (layer,), Head((actions,)))
 
 
 class _Quantizing:
@@ -133,8 +118,9 @@ class _Quantizing:
             inputs, input_scale = self._patches()
             first, scale = self._weights(encoder.linear, input_scale)
         else:
-            inputs, input_scale = self._scaling()
-            first, scale = self._weights(encoder.linear, input_scale)
+            inputs, rest = self._scaling()
+            (weights, bias), scale = self._weights(encoder.linear, float(INPUT_STEPS))
+            first = weights, bias + encoder.linear.weight.double().numpy() @ rest
         layers, added = [], None
         if indicator is not None:
             added = np.rint(indicator * scale).astype(np.int32)
@@ -168,8 +154,11 @@ class _Quantizing:
         shift = max(0, math.ceil(math.log2(reached * scale / self.most)))
         return Dense(weights, sums, shift, limit=self.most), scale / 2**shift
 
-    def _scaling(self) -> tuple[Scaling, float]:
-        """Return how vectors are standardised, and the scale of what comes of it."""
+    def _scaling(self) -> tuple[Scaling, Array]:
+        """Return how vectors are standardised, and what each is above that then, in standard deviations.
+
+        Elements that are small integers are no nearer to their mean than to an integer beside it.
+        """
         mean, factor = (tensor.double().numpy() for tensor in self.float.encoder.statistics())
         fractions = np.array([field.fraction for field in self.spec.observation], np.float64)
         if self.spec.unpack is not None:
@@ -177,15 +166,18 @@ class _Quantizing:
         per_element = factor * 2.0**-fractions * INPUT_STEPS
         shift = np.clip(MULTIPLIER_BITS - 1 - np.floor(np.log2(per_element)), 0, 62).astype(np.int64)
         multiplier = np.minimum(np.rint(per_element * 2.0**shift), (1 << 31) - 1).astype(np.int64)
-        # Half a step, so that shifting rounds to the nearest.
-        half = np.where(per_element > 0, 0.5 / per_element, 0)
-        offset = np.rint(mean * 2.0**fractions - np.minimum(half, 1e18)).astype(np.int64)
-        return Scaling(offset, multiplier, shift, dense.FARTHEST * INPUT_STEPS), float(INPUT_STEPS)
+        offset = np.rint(mean * 2.0**fractions).astype(np.int64)
+        # Shifting rounds down, by half a step on average.
+        rest = ((offset - mean * 2.0**fractions) * per_element + 0.5) / INPUT_STEPS
+        farthest = float(dense.FARTHEST)
+        return Scaling(offset, multiplier, shift, dense.FARTHEST * INPUT_STEPS), rest.clip(
+            -farthest, farthest
+        )
 
     def _patches(self) -> tuple[Patches, float]:
         """Return what pictures go through first, and the scale of what comes of it."""
         convolution = self.float.encoder.convolution
-        weights, bias = convolution.weight.numpy(), convolution.bias.numpy()
+        weights, bias = convolution.weight.numpy(), _numbers(convolution.bias)
         scale = self.most_weight / _greatest(weights)
         planes = self.float.encoder.whole(self.observations).permute(0, 3, 1, 2).float()
         reached = _reached(convolution(planes))
@@ -216,7 +208,10 @@ class _Quantizing:
             middle = (policy.low + policy.high).double().numpy().ravel() / 2 * size
             per_sum = policy.bound.double().numpy().ravel() * size / scale
             shift = max(0, int(30 - math.ceil(math.log2(per_sum.max()))))
-            low, high = (np.rint(end.double().numpy().ravel() * size).astype(np.int64) for end in (policy.low, policy.high))
+            low, high = (
+                np.rint(end.double().numpy().ravel() * size).astype(np.int64)
+                for end in (policy.low, policy.high)
+            )
             return Levels(
                 np.rint(per_sum * 2.0**shift).astype(np.int64),
                 np.rint(middle * 2.0**shift).astype(np.int64),
@@ -224,17 +219,25 @@ class _Quantizing:
                 low,
                 high,
             )
-        if policy.about["kind"] != "logits" or not policy.chance:
+        if policy.about["kind"] != "logits" or not policy.temperature:
             return Head(spec.action_counts)
-        per_sum = 1 / (scale * policy.chance)
+        per_sum = 1 / (scale * policy.temperature)
         shift = max(0, math.ceil(math.log2(FARTHEST_CHANCE / per_sum / ENTRIES)))
         distances = np.arange(ENTRIES) * 2.0**shift * per_sum
         return Head(spec.action_counts, shift, np.rint(65535 * np.exp(-distances)).astype(np.int32))
 
 
+def _numbers(tensor: torch.Tensor | None) -> Array:
+    assert tensor is not None
+    array: Array = tensor.numpy()
+    return array
+
+
 def _greatest(*arrays: Array | None) -> float:
     """Return the greatest size of a number in some arrays, or 1 where all are 0."""
-    return max((float(np.abs(array).max(initial=0)) for array in arrays if array is not None), default=0) or 1.0
+    return (
+        max((float(np.abs(array).max(initial=0)) for array in arrays if array is not None), default=0) or 1.0
+    )
 
 
 def _reached(sums: torch.Tensor) -> float:

@@ -1,4 +1,4 @@
-"""What trainers make: policies by a network or by tables, and the file that keeps one.
+"""Policies that trainers make, by a network or by tables, and the file that keeps one.
 
 A trained policy is a ``policy.safetensors`` with all that is needed to use it again; see :func:`load`.
 """
@@ -13,22 +13,23 @@ import torch
 from gymnasium.spaces import Box, Discrete
 from torch import Tensor, nn
 
+from pearl_marl.checks import is_number
 from pearl_marl.elements import are_numbers, bounds
 from pearl_marl.errors import ArgumentError, shown, told
 from pearl_marl.policies import policy_file
-from pearl_marl.policies.network import SHARING, Array, check_weights, masked, networks
+from pearl_marl.policies.network import SHARING, Array, masked, most, networks
 from pearl_marl.registry import registered_spec
-from pearl_marl.spec import EnvSpec, is_number
+from pearl_marl.spec import EnvSpec
 
 KINDS = ("logits", "values", "mean")
 """How a network's outputs are meant: see :class:`NetworkPolicy`."""
 
 _SCALAR = torch.zeros(())
-"""What stands for a tensor that a file does not have."""
+"""Stands for a tensor that a file does not have."""
 
 
 class _Trained(nn.Module):
-    """A policy that says what it is for, and ``about`` what it was made."""
+    """A policy with its environment, and with ``about``, which describes it in its file."""
 
     def __init__(self, spec: EnvSpec, **about: Any) -> None:
         super().__init__()
@@ -54,7 +55,7 @@ class _Trained(nn.Module):
         """Begin the random numbers anew, of a policy that uses any."""
 
     def positions(self, n: int) -> Tensor:
-        """Return who of its world each of ``n`` agents is."""
+        """Return the position of each of ``n`` agents in its world."""
         return torch.arange(n, device=next(self.buffers()).device) % self.spec.agents
 
     def save(self, path: Path) -> None:
@@ -63,7 +64,7 @@ class _Trained(nn.Module):
 
 
 class NetworkPolicy(_Trained):
-    """What chooses actions: a network, and how its outputs are meant.
+    """A policy by a network, whose outputs are meant in one of several ways.
 
     Parameters
     ----------
@@ -77,12 +78,13 @@ class NetworkPolicy(_Trained):
     width
         Of the network's layers.
     sharing
-        What agents of a world have in common. ``"all"``: one network, that sees nothing but observations.
-        ``"indicator"``: one network, which is told whose they are. ``"none"``: each has its own.
-    chance
-        What part chance has in what it does where it is used. With ``"logits"``, the temperature at which
-        actions are drawn; 0 for the most probable. With ``"values"``, the share of random actions. Agents of
-        a team who always do their best wait for each other for ever, where both want to be in the same cell.
+        What agents of a world have in common. ``"all"``: one network, whose only input is observations.
+        ``"indicator"``: one network, which is also told the agent's position in its world. ``"none"``: each
+        agent has its own.
+    temperature, epsilon
+        How random its actions are where it is used. With ``"logits"``, they are drawn at this temperature; 0
+        takes the most probable. With ``"values"``, this share is random. Two agents of a team that both want
+        to be in the same cell, and always take the best action, wait for each other forever.
     """
 
     bound: Tensor
@@ -90,11 +92,19 @@ class NetworkPolicy(_Trained):
     high: Tensor
 
     def __init__(
-        self, spec: EnvSpec, kind: str, width: int, sharing: str = "all", chance: float = 0.0
+        self,
+        spec: EnvSpec,
+        kind: str,
+        width: int,
+        sharing: str = "all",
+        temperature: float = 0.0,
+        epsilon: float = 0.0,
     ) -> None:
         sharing = sharing if spec.agents > 1 else "all"
-        super().__init__(spec, kind=kind, width=width, sharing=sharing, chance=chance)
-        self.chance, self.random = chance, torch.Generator().manual_seed(0)
+        randomness = {"logits": {"temperature": temperature}, "values": {"epsilon": epsilon}}.get(kind, {})
+        super().__init__(spec, kind=kind, width=width, sharing=sharing, **randomness)
+        self.temperature, self.epsilon = temperature, epsilon
+        self.random = torch.Generator().manual_seed(0)
         actions = spec.action_space
         if isinstance(actions, Box) != (kind == "mean") or (
             kind == "values" and not isinstance(actions, Discrete)
@@ -131,24 +141,19 @@ class NetworkPolicy(_Trained):
         outputs = self(obs, masks)
         if self.about["kind"] == "mean":
             return self.within_bounds(outputs)
-        return self.most(outputs)
-
-    def most(self, outputs: Tensor) -> Tensor:
-        """Return the numbers of the greatest outputs: ``int64``, one for each field of an action."""
-        if not self.heads:
-            return outputs.argmax(-1)
-        return torch.stack([part.argmax(-1) for part in torch.split(outputs, self.heads, -1)], -1)
+        return most(outputs, self.heads)
 
     @torch.no_grad()
     def act(self, obs: Tensor, masks: Tensor | None = None) -> Tensor:
-        """Return actions of the policy's probabilities, if chance has a part in it, else the best."""
-        if not self.chance or self.about["kind"] == "mean":
+        """Return random actions, as the policy's temperature or epsilon says; without one, the best."""
+        kind = self.about["kind"]
+        if not {"logits": self.temperature, "values": self.epsilon}.get(kind):
             return self.best(obs, masks)
         outputs = self(obs, masks)
         noise = torch.rand(outputs.shape, generator=self.random).to(outputs.device)
-        if self.about["kind"] == "logits":  # Gumbel's trick
-            return self.most(outputs / self.chance - noise.log().neg().log())
-        anyone = torch.rand(len(outputs), generator=self.random).to(outputs.device) < self.chance
+        if kind == "logits":  # Gumbel's trick
+            return most(outputs / self.temperature - noise.log().neg().log(), self.heads)
+        anyone = torch.rand(len(outputs), generator=self.random).to(outputs.device) < self.epsilon
         return torch.where(anyone, masked(noise, masks).argmax(1), outputs.argmax(1))
 
     def seed(self, seed: int) -> None:
@@ -164,7 +169,7 @@ class NetworkPolicy(_Trained):
 
 
 class Table(_Trained):
-    """What chooses actions by tables: a value for each observation and action, one table a learner.
+    """A policy by tables of a value for each observation and action, one table for each learner.
 
     Observations are numbers, or tuples of them. Of ``n``, the first ``n / learners`` are the first learner's,
     and so on.
@@ -220,7 +225,7 @@ def load(path: Path) -> NetworkPolicy | Table:
         # On torch's device of no memory: the file may name any size.
         with torch.device("meta"):
             policy = _described(about, tensors)
-        check_weights(policy, tensors, policy.spec.name)
+        policy_file.check_weights(policy, tensors, policy.spec.name)
     except ArgumentError as error:
         raise ArgumentError(f"{file} is damaged, or of another version: {told(error)}") from None
     policy.load_state_dict(tensors, assign=True)
@@ -228,11 +233,11 @@ def load(path: Path) -> NetworkPolicy | Table:
 
 
 def _check_description(about: Any) -> None:
-    """Refuse what a file says of its policy where that lacks something, or has it of another type."""
+    """Refuse the description of a policy that lacks something, or has it of another type."""
     if not isinstance(about, dict):
         raise ArgumentError("its metadata say nothing of its policy")
     needed: dict[str, type] = {"environment": str, "options": dict, "kind": str}
-    if about.get("kind") != "table":
+    if about.get("kind") not in ("table", "integers"):
         needed["width"] = int
     for name, kind in needed.items():
         if name not in about:
@@ -247,6 +252,8 @@ def _described(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPoli
     if about["kind"] == "table":
         values = tensors.get("values", _SCALAR)
         return Table(spec, max(1, len(values)) if values.ndim else 1)
+    if about["kind"] == "integers":
+        raise ArgumentError("it is a policy in integers, which pearl_marl.load_policy() reads for rollout()")
     if about["kind"] not in KINDS:
         raise ArgumentError(
             f"its policy has the kind {shown(about['kind'])}; possible are {', '.join(KINDS)}, table"
@@ -258,7 +265,10 @@ def _described(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPoli
     hidden = tensors.get(layer, _SCALAR)
     if width < 1 or hidden.shape != (width, width):
         raise ArgumentError(f"its policy has the width {shown(width)}, and layers of {tuple(hidden.shape)}")
-    chance = about.get("chance", 0.0)
-    if not is_number(chance) or chance < 0:
-        raise ArgumentError(f"its policy has the chance {shown(chance)}; it must be a number from 0")
-    return NetworkPolicy(spec, about["kind"], width, sharing, float(chance))
+    name = {"logits": "temperature", "values": "epsilon"}.get(about["kind"])
+    if name is None:
+        return NetworkPolicy(spec, about["kind"], width, sharing)
+    randomness = about.get(name, about.get("chance", 0.0))  # older files have "chance" for both
+    if not is_number(randomness) or randomness < 0:
+        raise ArgumentError(f"its policy has the {name} {shown(randomness)}; it must be a number from 0")
+    return NetworkPolicy(spec, about["kind"], width, sharing, **{name: float(randomness)})

@@ -7,7 +7,7 @@ import importlib
 import inspect
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -18,24 +18,11 @@ from pearl_marl.batch.actions import random_numbers
 from pearl_marl.elements import ActionSpace, action_counts, are_numbers, bounds
 from pearl_marl.errors import ArgumentError, told
 from pearl_marl.porting.contents import kept, replaced, reseeded
+from pearl_marl.porting.oracle import Outcome
 from pearl_marl.spec import MAX_AGENTS
 
 MOST_ELEMENTS = 4096
 """Elements of an observation: each is a field of a hardware word."""
-
-
-class Outcome(NamedTuple):
-    """What a step gave each agent."""
-
-    observations: list[Any]
-    rewards: list[float]
-    terminated: list[bool]
-    truncated: bool
-
-    @property
-    def over(self) -> bool:
-        """Whether the episode is."""
-        return self.truncated or all(self.terminated)
 
 
 class Original:
@@ -68,6 +55,8 @@ class Original:
         self.observation_space, self.action_space = self._space("observation"), self._space("action")
         self._ended: list[bool] = [False] * self.agents
         self.seen: list[Any] = []
+        self.over = False
+        """Whether the episode is over."""
         for what, why in (
             ("observation", why_no_observation(self.observation_space)),
             ("action", why_no_action(self.action_space)),
@@ -93,6 +82,7 @@ class Original:
 
     def reset(self, seed: int | None = None) -> list[Any]:
         """Begin an episode; return what each agent observes."""
+        self.over = False
         self._ended = [False] * self.agents
         with _quiet():
             observed, _ = self.env.reset(seed=seed)
@@ -101,6 +91,11 @@ class Original:
 
     def step(self, actions: Sequence[Any]) -> Outcome:
         """Take an action of each agent."""
+        outcome = self._outcome(actions)
+        self.over = outcome.over
+        return outcome
+
+    def _outcome(self, actions: Sequence[Any]) -> Outcome:
         with _quiet():
             if not self.names:
                 seen, reward, terminated, truncated, _ = self.env.step(actions[0])

@@ -1,4 +1,4 @@
-"""Real numbers in golden functions: fixed point that nobody has to write.
+"""Real numbers in golden functions: fixed point that authors need not write.
 
 Fields are :class:`Real`, authors' scopes have :data:`FUNCTIONS`, branches are joined by :func:`select`, and
 :func:`stored` keeps what comes out; graphs that are traced are :func:`admitted` to floats.
@@ -9,7 +9,7 @@ from typing import Any
 from pearl_marl.reals.choices import Choice, choice_of, joined, select, stored
 from pearl_marl.reals.names import FUNCTIONS
 from pearl_marl.reals.numbers import Real, constant, fraction_for
-from pearl_marl.remaking import TypeLike
+from pearl_marl.rebinding import TypeLike
 from pearl_marl.tracing.graph import Graph
 
 __all__ = [

@@ -23,6 +23,7 @@ except ModuleNotFoundError as error:
 # Before the modules are imported: pytest then shows the values in a failed assertion of theirs.
 pytest.register_assert_rewrite(*(f"{__name__}.{module.name}" for module in pkgutil.iter_modules(__path__)))
 
+from pearl_marl.porting.oracle import Games, Outcome, Rules, compare, one_by_one  # noqa: E402
 from pearl_marl.testing.case import (  # noqa: E402
     HALF,
     SIZE,
@@ -34,6 +35,14 @@ from pearl_marl.testing.case import (  # noqa: E402
     rows,
     trajectory,
 )
+from pearl_marl.testing.oracles import (  # noqa: E402
+    assert_same_play,
+    compare_pictures,
+    compare_steps,
+    every_state,
+    first_episodes,
+    step_from,
+)
 from pearl_marl.testing.suite import ContractSuite, DeviceSuite  # noqa: E402
 
 __all__ = [
@@ -43,9 +52,20 @@ __all__ = [
     "Case",
     "ContractSuite",
     "DeviceSuite",
+    "Games",
+    "Outcome",
+    "Rules",
+    "assert_same_play",
     "assert_same_step",
     "assert_same_trajectory",
+    "compare",
+    "compare_pictures",
+    "compare_steps",
+    "every_state",
+    "first_episodes",
     "make_device",
+    "one_by_one",
     "rows",
+    "step_from",
     "trajectory",
 ]

@@ -93,7 +93,7 @@ class AgreementContract:
         for t, actions in enumerate(case.habits(13)):
             ours = device.step(actions)
             assert_same_step(ours, reference.step(actions), f"step {t}")
-            again = ours.ended & ours.alive  # not who has ended before its world
+            again = ours.ended & ours.in_episode  # not who has ended before its world
             np.testing.assert_array_equal(ours.obs[again], first[again])
         mask = np.arange(SIZE) % 3 == 0
         after = device.reset(mask=mask)

@@ -223,7 +223,7 @@ def _same(value: Any, other: Any) -> bool:
 
 def rows(results: list[BatchStep], start: int, stop: int, agents: int = 1) -> list[BatchStep]:
     """Return the part of a trajectory that belongs to slots ``start .. stop - 1``, of so many agents each."""
-    return [step.each(lambda array: array[start * agents : stop * agents]) for step in results]
+    return [step.map(lambda array: array[start * agents : stop * agents]) for step in results]
 
 
 def names_of(n: int) -> list[str]:

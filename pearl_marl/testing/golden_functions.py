@@ -44,11 +44,11 @@ class GoldenContract:
         words = room_for_words(spec, n * spec.agents)
         for actions in sticky_actions(spec, len(words), steps, seed=2):
             step = device.step_words(encode(actions, spec, words))
-            assert contains_all(spec.observation_space, step.obs[step.alive])
+            assert contains_all(spec.observation_space, step.obs[step.in_episode])
         device.close()
 
     def test_spaces_equal_the_oracles(self, spec: EnvSpec) -> None:
-        """With the same names of arguments and the same time limit, one can stand for the other."""
+        """And names of arguments, time limit, render modes and their speed: one can stand for the other."""
         if spec.oracle is None:
             pytest.skip(f"{spec.name} has no oracle in Gymnasium")
         try:
@@ -58,4 +58,7 @@ class GoldenContract:
         assert spec.observation_space == oracle.observation_space
         assert spec.action_space == oracle.action_space
         assert spec.max_cycles == (oracle.spec.max_episode_steps if oracle.spec else None)
+        assert set(spec.render_modes) <= set(oracle.metadata["render_modes"])
+        if ":" not in spec.oracle:  # it is Gymnasium's own, which says how fast it draws
+            assert spec.render_fps == oracle.metadata["render_fps"]
         oracle.close()

@@ -96,7 +96,7 @@ class SpacesContract:
                 assert array.shape == (n,)
                 assert array.dtype == kind
             np.testing.assert_array_equal(step.ended, step.terminations | step.truncations)
-            assert contains_all(space, step.obs[step.alive])
+            assert contains_all(space, step.obs[step.in_episode])
             assert contains_all(space, step.final_obs[step.ended])
             arrived = step.arrivals()
             np.testing.assert_array_equal(arrived[step.ended], step.final_obs[step.ended])
@@ -116,7 +116,7 @@ class SpacesContract:
                 assert isinstance(result, dict)
                 assert list(result) == env.agents
             assert all(
-                spaces[agent].contains(obs[agent]) for agent in env.agents if env.alive[env.slots[agent]]
+                spaces[agent].contains(obs[agent]) for agent in env.agents if env.in_episode[env.rows[agent]]
             )
             if isinstance(
                 spaces["agent_0"], Discrete

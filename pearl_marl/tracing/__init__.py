@@ -1,4 +1,4 @@
 """From a golden function to the graph of what it does, and what is wrong with it.
 
-May import ``remaking``, ``golden`` and ``errors``.
+May import ``rebinding``, ``golden`` and ``errors``.
 """

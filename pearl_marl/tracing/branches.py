@@ -9,6 +9,7 @@ a list is written under the condition of its path, so a list that keeps its name
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -221,21 +222,18 @@ class Loop:
 
     def _after(self, start: Path, ends: Sequence[tuple[Path, Any]], resolved: Exits) -> Path:
         """Return the path on which any of some ends was reached."""
-        graph = self.runtime.graph
         exits = frozenset(
             e for path, _ in ends for lit in path.literals[len(start.literals) :] for e in lit.exits
         )
         lost = exits - resolved
-        if not lost and not self._left_otherwise(start, ends):
+        if not lost and not self.runtime.exits[self.mark :]:
             return start
-        condition = graph.constant(0)
-        for path, _ in ends:
-            condition = graph.or_(condition, path.since(start))
-        return start.where(condition, lost or frozenset([self.frame]))
+        return start.where(self._reached(start, ends), lost or frozenset([self.frame]))
 
-    def _left_otherwise(self, start: Path, ends: Sequence[tuple[Path, Any]]) -> bool:
-        """Return whether a path that began here did not come to one of these ends."""
-        return bool(self.runtime.exits[self.mark :])
+    def _reached(self, start: Path, ends: Sequence[tuple[Path, Any]]) -> Node:
+        """Return whether any of some ends is reached from a path."""
+        graph = self.runtime.graph
+        return functools.reduce(graph.or_, (path.since(start) for path, _ in ends), graph.constant(0))
 
     def _merged(self, ends: Sequence[tuple[Path, Any]], start: Path, but: Exits) -> tuple[Any, ...]:
         # What is known where the last of them ended is not known of the others.
@@ -256,10 +254,7 @@ class Loop:
             return values
         values = self._merged(ends, self.start, self.first)
         self.first -= {self.over}  # which come last now
-        condition = runtime.graph.constant(0)
-        for path, _ in ends:
-            condition = runtime.graph.or_(condition, path.since(self.start))
-        runtime.path = self.start.where(condition, frozenset([self.broken, "else"]))
+        runtime.path = self.start.where(self._reached(self.start, ends), frozenset([self.broken, "else"]))
         return values
 
     def joined(self, values: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -274,12 +269,7 @@ class Loop:
             runtime.path = None
             return values
         values = self._merged(ends, self.start, self.first)
-        returned = bool(runtime.exits[self.mark :])
-        if not returned:
-            runtime.path = self.start
-        else:
-            condition = runtime.graph.constant(0)
-            for path, _ in ends:
-                condition = runtime.graph.or_(condition, path.since(self.start))
-            runtime.path = self.start.where(condition, frozenset(runtime.exits[self.mark :]))
+        runtime.path, returned = self.start, frozenset(runtime.exits[self.mark :])
+        if returned:
+            runtime.path = self.start.where(self._reached(self.start, ends), returned)
         return values

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from pearl_marl.errors import ArgumentError
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node, in_order, values
-from pearl_marl.tracing.trace import place, trace
+from pearl_marl.tracing.trace import location, trace
 
 TRIALS = 200_000
 """Operations that the search for an example may take."""
@@ -61,14 +61,14 @@ def check(
     results = trace(graph, function, list(inputs.values()), *agent)
     if len(results) != len(due):
         raise ArgumentError(
-            f"{place(function)}: {function.__name__}() returns {_count(results, 'word')}, and the spec takes "
-            f"{len(due)}: {_listed([word.name for word in due])}"
+            f"{location(function)}: {function.__name__}() returns {_count(results, 'word')}, and the "
+            f"spec takes {len(due)}: {_listed([word.name for word in due])}"
         )
     for node, word in zip(results, due, strict=True):
         if node.low < word.low or node.high > word.high:
             found = f"{node.low}" if node.low == node.high else f"{node.low} to {node.high}"
             raise ArgumentError(
-                f"{place(function, node.line)}: {function.__name__}() returns {found} for {word.name}"
+                f"{location(function, node.line)}: {function.__name__}() returns {found} for {word.name}"
                 f"{''.join(f' of agent {k}' for k in agent)}, and "
                 f"{word.limit} {word.low} to {word.high}; {_example(node, word, inputs)}; {word.fix}"
             )

@@ -47,7 +47,7 @@ class Graph(Nodes):
             return a.args[0]
         if a.op == "left" and a.imm >= bits:
             return self.constant(0)
-        # Not of a product: beside the narrow one that somebody else looks at it would be a second one.
+        # Not of a product: beside the narrow one that has other users it would be a second one.
         if a.op in ("add", "sub", "and", "or", "xor", "invert"):
             args = [x.args[0] if x.op == "wrap" and x.imm[0] >= bits else x for x in a.args]
             if any(x is not y for x, y in zip(args, a.args, strict=True)):
@@ -118,7 +118,7 @@ class Graph(Nodes):
         return self._ordered("mul", a, b)
 
     def floor_divide(self, a: Node, b: Node) -> Node:
-        """Return ``a // b``; ``b`` is 1 or more where anybody looks at the quotient."""
+        """Return ``a // b``; ``b`` is 1 or more where the quotient is used."""
         if not b.is_constant():
             if a.is_constant(0) or (a.low >= 0 and a.high < b.low):
                 return self.constant(0)
@@ -131,7 +131,7 @@ class Graph(Nodes):
         return self.make("divide", a, imm=value)
 
     def modulo(self, a: Node, b: Node) -> Node:
-        """Return ``a % b``; ``b`` is 1 or more where anybody looks at the remainder."""
+        """Return ``a % b``; ``b`` is 1 or more where the remainder is used."""
         if not b.is_constant():
             return a if a.low >= 0 and a.high < b.low else self.make("modulo_by", a, b)
         value = max(1, b.imm)
@@ -389,16 +389,16 @@ class Graph(Nodes):
         return self.within(node, low, high)
 
     def narrow(self, a: Node, low: int, high: int) -> Node:
-        """Return ``a`` as what it is known to be where anybody looks at what is made of the result."""
+        """Return ``a`` with the range that it is known to have wherever the result is used."""
         ends = max(low, a.low), min(high, a.high)
         if ends == (a.low, a.high):
             return a
-        if ends[0] >= ends[1]:  # nobody looks at it if it is out of the range
+        if ends[0] >= ends[1]:  # it is not used where it is out of the range
             return self.constant(min(max(a.low, low), high))
         return self.make("narrow", a.args[0] if a.op == "narrow" else a, imm=ends)
 
     def table(self, entries: Sequence[int], index: Node) -> Node:
-        """Return the entry of a constant table; beyond its end is nothing that anybody looks at."""
+        """Return the entry of a constant table; entries beyond its end are not used."""
         if index.low < 0 or index.high >= len(entries):
             bits = max(1, (len(entries) - 1).bit_length())
             index = self.wrap(index, bits, False)

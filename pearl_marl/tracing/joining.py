@@ -196,7 +196,7 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
             one.refuse()
     if _is_number(a) and _is_number(b):
         node = graph.choose(flag, node_of(graph, a), node_of(graph, b))
-        if graph.certain:  # outside of all branches nothing depends on where somebody looks at it
+        if graph.certain:  # outside of all branches nothing depends on where it is used
             graph.settle(node)
         return Word(graph, node)
     if graph.floats is not None and all(isinstance(x, (float, Beyond)) or _is_number(x) for x in (a, b)):

@@ -4,7 +4,7 @@ A node's range is exact where it depends on few bits: such a node has its *funct
 over the words it depends on, and two nodes of one function are one node. Elsewhere its range is an interval,
 and the bits that can be set are known.
 
-What is known of a *loose* node holds only where somebody looks at it: it is made of a word that is narrowed
+What is known of a *loose* node holds only where the node is used: it is made of a word that is narrowed
 down to what a branch has found it to be, and where the branch is not taken the node can be anything.
 """
 
@@ -54,7 +54,7 @@ class Node:
     line: int | None = None
     """Where in the author's file it was made."""
     loose: bool = False
-    """Whether it is a ``narrow``, or made of one: its value can be beyond its range, where nobody looks."""
+    """Whether it is a ``narrow``, or made of one: its value can be beyond its range where it is not used."""
 
     def __repr__(self) -> str:
         name = self.name or (self.imm if self.op == "input" else self.op)

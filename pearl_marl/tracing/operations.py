@@ -4,8 +4,8 @@ A node is a mathematical integer, which never overflows; ``wrap`` is where a wor
 operation has besides its arguments: a constant's value, a shift, ``(bits, signed)`` of a wrap, the entries of
 a table, the range of a ``narrow``.
 
-Two operations have a meaning where nobody looks at it, so that a graph can be run as a whole: a divisor below
-1 counts as 1, and what is beyond the range of a ``narrow`` is its nearest end. Whoever compiles a graph may
+Two operations have a meaning even where their result is not used, so that a graph can be run as a whole: a
+divisor below 1 counts as 1, and a word beyond the range of a ``narrow`` is its nearest end. A compiler may
 make anything of it.
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 Range = tuple[int, int]
 
 
-class Node(Protocol):
+class Operation(Protocol):
     """What a range is made of."""
 
     op: str
@@ -46,7 +46,7 @@ def wrapped(value: int, bits: int, signed: bool) -> int:
     return (value - low) % (1 << bits) + low
 
 
-def _product(_: Any, a: Node, b: Node) -> Range:
+def _product(_: Any, a: Operation, b: Operation) -> Range:
     ends = [x * y for x in (a.low, a.high) for y in (b.low, b.high)]
     if a is b:
         return (0 if a.low <= 0 <= a.high else min(ends[0], ends[3])), max(ends)
@@ -54,7 +54,7 @@ def _product(_: Any, a: Node, b: Node) -> Range:
 
 
 def _logic(op: str) -> Callable[..., Range]:
-    def result(_: Any, a: Node, b: Node) -> Range:
+    def result(_: Any, a: Operation, b: Operation) -> Range:
         if op == "and" and (a.low >= 0 or b.low >= 0):
             return 0, min(x.high for x in (a, b) if x.low >= 0)
         ones = (1 << max(bits_of(min(x.low, 0), max(x.high, ~x.low)) - (x.low < 0) for x in (a, b))) - 1
@@ -65,7 +65,7 @@ def _logic(op: str) -> Callable[..., Range]:
     return result
 
 
-def _sum(imm: Any, *args: Node) -> Range:
+def _sum(imm: Any, *args: Operation) -> Range:
     constant, weights = imm
     low = sum(
         (x.low if sign > 0 else -x.high) << shift for (sign, shift), x in zip(weights, args, strict=True)
@@ -76,27 +76,27 @@ def _sum(imm: Any, *args: Node) -> Range:
     return low + constant, high + constant
 
 
-def _left(_: Any, a: Node, by: Node) -> Range:
+def _left(_: Any, a: Operation, by: Operation) -> Range:
     return min(a.low << by.low, a.low << by.high), max(a.high << by.low, a.high << by.high)
 
 
-def _right(_: Any, a: Node, by: Node) -> Range:
+def _right(_: Any, a: Operation, by: Operation) -> Range:
     return min(a.low >> by.low, a.low >> by.high), max(a.high >> by.low, a.high >> by.high)
 
 
-def _quotient(_: Any, a: Node, by: Node) -> Range:
+def _quotient(_: Any, a: Operation, by: Operation) -> Range:
     if a is by:
         return min(1, a.low), 1
     ends = [x // max(1, y) for x in (a.low, a.high) for y in (by.low, by.high)]
     return min(ends), max(ends)
 
 
-def _remainder(_: Any, a: Node, by: Node) -> Range:
+def _remainder(_: Any, a: Operation, by: Operation) -> Range:
     most = max(1, by.high) - 1
     return 0, min(most, a.high) if a.low >= 0 else most
 
 
-def _choose(_: Any, flag: Node, a: Node, b: Node) -> Range:
+def _choose(_: Any, flag: Operation, a: Operation, b: Operation) -> Range:
     """Return the range of a choice; if the flag compares what it chooses, that narrows it down."""
     if flag.op == "less":
         p, q = flag.args

@@ -23,7 +23,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn, TypeVar
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.places import place_of
+from pearl_marl.source_lines import source_line
 
 RUNTIME = "__pearl__"
 """The name by which rewritten functions know :class:`pearl_marl.tracing.runtime.Runtime`."""
@@ -47,7 +47,7 @@ def rewritten(code: types.CodeType) -> types.CodeType:
         names the file and the line.
     """
     if code.co_flags & (inspect.CO_COROUTINE | inspect.CO_ASYNC_GENERATOR):
-        where = place_of(code.co_filename, code.co_firstlineno)
+        where = source_line(code.co_filename, code.co_firstlineno)
         raise Refusal(f"{where}: golden functions have no `async`")
     found = copy.deepcopy(_source_of(code))
     if found is None:
@@ -56,8 +56,8 @@ def rewritten(code: types.CodeType) -> types.CodeType:
         found = _named(found)
     elif _has_changed(found, code):
         raise Refusal(
-            f"{place_of(code.co_filename, code.co_firstlineno)}: {code.co_name}() is not what its file says; "
-            "the file has changed since it was imported: start Python anew"
+            f"{source_line(code.co_filename, code.co_firstlineno)}: {code.co_name}() is not what its file "
+            "says; the file has changed since it was imported: start Python anew"
         )
     new = _Function(code.co_filename).of(found)
     return _compiled(new, code)
@@ -233,13 +233,13 @@ class _Function:
         return ast.copy_location(new, node)
 
     def name(self, kind: str) -> str:
-        """Return a name that nobody else has."""
+        """Return a new name."""
         self.count += 1
         return f"_pearl_{kind}_{self.count}"
 
     def refuse(self, node: ast.AST, why: str) -> NoReturn:
         """Raise ArgumentError for a line."""
-        raise Refusal(f"{place_of(self.file, getattr(node, 'lineno', 1))}: {why}")
+        raise Refusal(f"{source_line(self.file, getattr(node, 'lineno', 1))}: {why}")
 
     def block(self, statements: Sequence[ast.stmt], expressions: _Expressions) -> list[ast.stmt]:
         """Return statements of which those after a possible exit run only if something is left to run."""

@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.remaking import TypeLike
+from pearl_marl.rebinding import TypeLike
 from pearl_marl.tracing.branches import Frame
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.joining import Listed, Undefined, has_words, joined

@@ -15,15 +15,21 @@ from contextlib import contextmanager
 from typing import Any
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.places import author_of, is_librarys, is_no_librarys, last_line, place_of
-from pearl_marl.remaking import Vocabulary, refused, remade
+from pearl_marl.rebinding import Vocabulary, rebound, refused
+from pearl_marl.source_lines import (
+    author_of,
+    is_an_authors,
+    is_of_a_library,
+    last_line_of_an_author,
+    source_line,
+)
 from pearl_marl.tracing.graph import Graph
 from pearl_marl.tracing.nodes import Node
 from pearl_marl.tracing.rewriting import RUNTIME, Refusal, rewritten
 from pearl_marl.tracing.runtime import Runtime
 from pearl_marl.tracing.words import Beyond, Cast, Word, node_of, table
 
-_INSIDE = "pearl_marl.tracing.", "pearl_marl.reals.", "pearl_marl.remaking", "numpy"
+_INSIDE = "pearl_marl.tracing.", "pearl_marl.reals.", "pearl_marl.rebinding", "numpy"
 
 
 def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node], *agent: int) -> list[Node]:
@@ -44,7 +50,7 @@ def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node],
         inspect.signature(function).bind(*words)
     except TypeError as error:
         raise ArgumentError(
-            f"{place(function)}: {function.__name__}() is called with {len(words)} words: {error}"
+            f"{location(function)}: {function.__name__}() is called with {len(words)} words: {error}"
         ) from None
     with _watched(graph, author_of(function).__code__.co_filename):
         try:
@@ -69,7 +75,7 @@ def trace(graph: Graph, function: Callable[..., Any], arguments: Sequence[Node],
                 why = f"{value!r} where an integer is due; int() and round() make one"
             elif not isinstance(value, float):
                 why = f"{value!r}, and an integer is due"
-            raise ArgumentError(f"{place(function)}: {function.__name__}() returns {why}") from None
+            raise ArgumentError(f"{location(function)}: {function.__name__}() returns {why}") from None
     return nodes
 
 
@@ -82,12 +88,12 @@ def _traced(graph: Graph, function: types.FunctionType) -> Callable[..., Any]:
     def again(met: types.FunctionType) -> Any:
         if not _is_authors(met, "envs."):
             return met
-        return remade(met, _of_methods(functions).meaning, code=_code, names={**names, **_orders(names)})
+        return rebound(met, _of_methods(functions).meaning, code=_code, names={**names, **_orders(names)})
 
     runtime = Runtime(graph, again)
     names = {**runtime.builtins(), RUNTIME: runtime}
     meaning = Vocabulary(Cast, table, functions).meaning
-    made: Callable[..., Any] = remade(function, meaning, code=_code, names=names)
+    made: Callable[..., Any] = rebound(function, meaning, code=_code, names=names)
     return made
 
 
@@ -129,22 +135,22 @@ def _is_authors(function: types.FunctionType, *own: str) -> bool:
     """Return whether a function is neither a library's nor of this package, but for some modules of it."""
     module: str = function.__globals__.get("__name__", "")
     package, _, rest = module.partition(".")
-    return rest.startswith(own) if package == "pearl_marl" else not is_librarys(module)
+    return rest.startswith(own) if package == "pearl_marl" else not is_of_a_library(module)
 
 
 def _code(function: types.FunctionType) -> types.CodeType:
     return rewritten(function.__code__) if _is_authors(function, *_OUR_OWN) else function.__code__
 
 
-def place(function: Callable[..., Any], line: int | None = None) -> str:
+def location(function: Callable[..., Any], line: int | None = None) -> str:
     """Return the file of a golden function and a line in it, by default its first."""
     code = author_of(function).__code__
-    return place_of(code.co_filename, line or code.co_firstlineno)
+    return source_line(code.co_filename, line or code.co_firstlineno)
 
 
 def _place_of(error: BaseException, function: Callable[..., Any]) -> str:
     """Return where an author's code was at work: neither this package's vocabulary nor NumPy."""
-    return last_line(error, is_no_librarys) or place(function)
+    return last_line_of_an_author(error, is_an_authors) or location(function)
 
 
 @contextmanager
@@ -166,7 +172,7 @@ def _watched(graph: Graph, own: str) -> Iterator[None]:
         return watch
 
     def enter(frame: types.FrameType, event: str, _: Any) -> Any:
-        # The names inside of words, of reals and of NumPy's functions are nobody's.
+        # Names within words, reals and NumPy's functions are no author's.
         module = frame.f_globals.get("__name__", "")
         return None if module.startswith(_INSIDE) else watch
 

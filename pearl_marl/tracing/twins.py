@@ -71,7 +71,7 @@ class Twins:
         return {self._made[key][0]: always}
 
     def _forget(self, key: int) -> None:
-        """Forget what nobody has any more."""
+        """Forget values that no longer exist."""
         for number in self._chosen.pop(key, {}):
             self._places[number].pop(key, None)
         if key in self._made:
@@ -79,9 +79,9 @@ class Twins:
             self._places[number].pop(key, None)
 
 
-def _known(value: Any, gone: Callable[[], None]) -> Callable[[], Any]:
-    """Return what gives a value as long as anybody has it; plain lists stay."""
+def _known(value: Any, forget: Callable[[], None]) -> Callable[[], Any]:
+    """Return a function that returns a value as long as it exists; plain lists are kept."""
     try:
-        return weakref.ref(value, lambda _: gone())
+        return weakref.ref(value, lambda _: forget())
     except TypeError:
         return lambda: value

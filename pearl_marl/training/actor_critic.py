@@ -1,9 +1,8 @@
-"""What PPO learns: a policy, and a critic that says what is still to come by it."""
+"""The model that PPO learns: a policy, and a critic that expects what is still to come by it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,50 +10,28 @@ import torch
 from gymnasium.spaces import Box
 from torch import Tensor, nn
 
-from pearl_marl.policies.network import Network, masked, networks
+from pearl_marl.policies.network import Network, masked, most, networks
 from pearl_marl.policies.trained import NetworkPolicy
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.adam import Gradients
 
 LOG_TURN = math.log(2 * math.pi)
 
 
-class View(NamedTuple):
-    """What networks are given, a row an agent, or a row a step and a column an agent."""
+class Inputs(NamedTuple):
+    """What networks are given: a row for each agent, or a row for each step and a column for each agent."""
 
     obs: Tensor
     masks: Tensor | None = None  # where the environment has any
     position: Tensor | None = None  # of the agent in its world; where there are others
     state: Tensor | None = None  # of its world; for a central critic
 
-    def each(self, function: Callable[[Tensor], Tensor]) -> View:
-        """Return the same with a function of every tensor in its place."""
-        others = (None if part is None else function(part) for part in self[1:])
-        return View(function(self.obs), *others)
-
-    def pick(self, rows: Tensor | slice | tuple[Tensor, ...]) -> View:
+    def pick(self, rows: Tensor | slice | tuple[Tensor, ...]) -> Inputs:
         """Return some rows."""
-        return self.each(lambda part: part[rows])
+        return Inputs(*(None if tensor is None else tensor[rows] for tensor in self))  # type: ignore[arg-type]
 
-    def flat(self) -> View:
+    def flat(self) -> Inputs:
         """Return steps and agents as one axis."""
-        return self.each(lambda part: part.flatten(0, 1))
-
-    @staticmethod
-    def stacked(views: Sequence[View]) -> View:
-        """Return views one step after the other."""
-        obs, *others = zip(*views, strict=True)
-        return View(torch.stack(obs), *(None if part[0] is None else torch.stack(part) for part in others))
-
-
-class Weighed(NamedTuple):
-    """How probable some actions are."""
-
-    logs: Tensor  # logarithms of their probabilities
-    entropy: Tensor  # the mean over observations
-    gradients: Callable[[Tensor, float], Gradients]
-    """Returns a loss's gradients from those by ``logs`` and by ``entropy``. It is written out, since autograd
-    would take longer than the network does that is learned."""
+        return Inputs(*(None if tensor is None else tensor.flatten(0, 1) for tensor in self))  # type: ignore[arg-type]
 
 
 class ActorCritic(nn.Module):
@@ -66,7 +43,7 @@ class ActorCritic(nn.Module):
         The environment that they are for.
     width
         Of their networks' layers.
-    sharing, chance
+    sharing, temperature
         See :class:`~pearl_marl.policies.trained.NetworkPolicy`.
     central
         Whether the critic is given the state of the whole world, and has an output for each of its agents,
@@ -74,17 +51,19 @@ class ActorCritic(nn.Module):
     """
 
     def __init__(
-        self, spec: EnvSpec, width: int, sharing: str = "all", chance: float = 0.0, central: bool = False
+        self, spec: EnvSpec, width: int, sharing: str = "all", temperature: float = 0.0, central: bool = False
     ) -> None:
         super().__init__()
         self.continuous = isinstance(spec.action_space, Box)
         self.central = central
-        self.policy = NetworkPolicy(spec, "mean" if self.continuous else "logits", width, sharing, chance)
-        network: Any = self.policy.network
-        # Of a picture, most of the work is to see what is on it: actor and critic do that together.
+        self.policy = NetworkPolicy(
+            spec, "mean" if self.continuous else "logits", width, sharing, temperature
+        )
+        network = self.actor
+        # For pictures, most of the work is in the first layers: actor and critic share them.
         self.shared = not central and isinstance(network, Network) and network.encoder.kind == "picture"
         self.critic: Any
-        # Of worlds nothing is expected at first: their rewards are rare, and noise would outdo them.
+        # In worlds the critic expects nothing at first: rewards are rare, and noise would outdo them.
         scale = 0.01 if spec.agents > 1 else 1.0
         if central:
             state = Box(-np.inf, np.inf, (len(spec.state),), np.float32)
@@ -96,41 +75,45 @@ class ActorCritic(nn.Module):
         if self.continuous:
             self.log_deviation = nn.Parameter(torch.full((1,), -0.5))
 
-    def see(self, view: View) -> None:
+    @property
+    def actor(self) -> Any:
+        """The policy's network."""
+        return self.policy.network
+
+    def see(self, inputs: Inputs) -> None:
         """Take a batch into the statistics by which observations and states are standardised."""
-        self.policy.see(view.obs, view.position)
+        self.actor.see(inputs.obs, inputs.position)
         if self.central:
-            self.critic.see(view.state)
+            self.critic.see(inputs.state)
         elif not self.shared:
-            self.critic.see(view.obs, view.position)
+            self.critic.see(inputs.obs, inputs.position)
 
-    def outputs(self, view: View) -> Tensor:
+    def outputs(self, inputs: Inputs) -> Tensor:
         """Return the policy's outputs."""
-        outputs: Tensor = self.policy(view.obs, view.masks, view.position)
-        return outputs
+        return masked(self.actor(inputs.obs, inputs.position), inputs.masks)
 
-    def values(self, view: View) -> Tensor:
+    def values(self, inputs: Inputs) -> Tensor:
         """Return what the critic expects, shape ``(batch,)``."""
         if self.central:
-            values: Tensor = self.critic(view.state)
-            return values[:, 0] if view.position is None else values.gather(1, view.position[:, None])[:, 0]
+            values: Tensor = self.critic(inputs.state)
+            if inputs.position is None:
+                return values[:, 0]
+            return values.gather(1, inputs.position[:, None])[:, 0]
         if self.shared:
-            network: Any = self.policy.network
-            values = self.critic(network.features(view.obs, view.position))
+            values = self.critic(self.actor.features(inputs.obs, inputs.position))
         else:
-            values = self.critic(view.obs, view.position)
+            values = self.critic(inputs.obs, inputs.position)
         return values[:, 0]
 
-    def forward(self, view: View) -> tuple[Tensor, Tensor]:
+    def forward(self, inputs: Inputs) -> tuple[Tensor, Tensor]:
         """Return the policy's outputs, and what the critic expects."""
         if not self.shared:
-            return self.outputs(view), self.values(view)
-        network: Any = self.policy.network
-        features = network.features(view.obs, view.position)
-        return masked(network.output(features), view.masks), self.critic(features)[:, 0]
+            return self.outputs(inputs), self.values(inputs)
+        features = self.actor.features(inputs.obs, inputs.position)
+        return masked(self.actor.output(features), inputs.masks), self.critic(features)[:, 0]
 
     def noise(self, shape: tuple[int, ...], random: torch.Generator) -> Tensor:
-        """Return what makes random actions of outputs of that shape: see :meth:`draw`."""
+        """Return the noise that makes actions random, for outputs of that shape: see :meth:`draw`."""
         noise = torch.empty(shape, device=random.device)
         if self.continuous:
             return noise.normal_(generator=random)
@@ -141,51 +124,30 @@ class ActorCritic(nn.Module):
         if self.continuous:
             actions = outputs + self.log_deviation.exp() * noise
             return actions, self.policy.within_bounds(actions)
-        # Gumbel's trick: the largest of logits with such noise has the probabilities that these are of.
-        actions = self.policy.most(outputs + noise)
+        # Gumbel's trick: the largest of logits with such noise has the probabilities of the logits.
+        actions = most(outputs + noise, self.policy.heads)
         return actions, actions
 
-    def weigh(self, outputs: Tensor, actions: Tensor) -> Weighed:
-        """Return how probable actions are, and how far the policy is from being certain."""
-        choices = self._weigh_fields if self.policy.heads else self._weigh_choices
-        weigh = self._weigh_numbers if self.continuous else choices
-        with torch.no_grad():
-            return weigh(outputs, actions)
-
-    def _weigh_numbers(self, outputs: Tensor, actions: Tensor) -> Weighed:
-        spread = self.log_deviation.exp()
-        apart = (actions - outputs) / spread
-        logs = -(0.5 * apart.square() + self.log_deviation + 0.5 * LOG_TURN).sum(-1)
-        entropy = (0.5 + 0.5 * LOG_TURN + self.log_deviation).expand_as(outputs).sum(-1).mean()
-
-        def gradients(by_logs: Tensor, by_entropy: float) -> Gradients:
-            by_apart = by_logs[..., None] * apart
-            wider = (by_apart * apart).sum() - outputs.shape[-1] * (by_logs.sum() - by_entropy)
-            return [(outputs, by_apart / spread), (self.log_deviation, wider[None])]
-
-        return Weighed(logs, entropy, gradients)
-
-    def _weigh_choices(self, outputs: Tensor, actions: Tensor) -> Weighed:
-        everything = outputs.log_softmax(-1)
-        shares, taken = everything.exp(), actions[..., None]
-        entropies = -(shares * everything).sum(-1, keepdim=True)
-
-        def gradients(by_logs: Tensor, by_entropy: float) -> Gradients:
-            by_outputs = (shares * -by_logs[..., None]).scatter_add_(-1, taken, by_logs[..., None])
-            if by_entropy:
-                by_outputs -= shares * (everything + entropies) * (by_entropy / entropies.numel())
-            return [(outputs, by_outputs)]
-
-        return Weighed(everything.gather(-1, taken)[..., 0], entropies.mean(), gradients)
-
-    def _weigh_fields(self, outputs: Tensor, actions: Tensor) -> Weighed:
-        """Do so with actions of several fields, which are chosen independently of each other."""
+    def evaluate(self, outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the logarithms of actions' probabilities, and the mean entropy of the policy."""
+        if self.continuous:
+            return self._evaluate_numbers(outputs, actions)
+        if not self.policy.heads:
+            return _evaluate_choices(outputs, actions)
+        # Fields of an action are chosen independently of each other.
         heads = torch.split(outputs, self.policy.heads, -1)
-        fields = [self._weigh_choices(*each) for each in zip(heads, actions.unbind(-1), strict=True)]
+        fields = [_evaluate_choices(*field) for field in zip(heads, actions.unbind(-1), strict=True)]
+        log_probs, entropies = map(torch.stack, zip(*fields, strict=True))
+        return log_probs.sum(0), entropies.sum()
 
-        def gradients(by_logs: Tensor, by_entropy: float) -> Gradients:
-            parts = [by for field in fields for _, by in field.gradients(by_logs, by_entropy)]
-            return [(outputs, torch.cat(parts, -1))]
+    def _evaluate_numbers(self, outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+        deviations = (actions - outputs) / self.log_deviation.exp()
+        log_probs = -(0.5 * deviations.square() + self.log_deviation + 0.5 * LOG_TURN).sum(-1)
+        entropy = (0.5 + 0.5 * LOG_TURN + self.log_deviation).expand_as(outputs).sum(-1).mean()
+        return log_probs, entropy
 
-        logs, entropies = zip(*((field.logs, field.entropy) for field in fields), strict=True)
-        return Weighed(torch.stack(logs).sum(0), torch.stack(entropies).sum(), gradients)
+
+def _evaluate_choices(outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+    log_probs = outputs.log_softmax(-1)
+    entropies = -(log_probs.exp() * log_probs).sum(-1)
+    return log_probs.gather(-1, actions[..., None])[..., 0], entropies.mean()

@@ -1,4 +1,4 @@
-"""Adam (Kingma and Ba, 2015, arXiv:1412.6980), for networks so small that the calls are what takes time.
+"""Adam (Kingma and Ba, 2015, arXiv:1412.6980), for networks so small that calls take most of the time.
 
 All parameters lie in one tensor and their gradients in another, so a step is a handful of operations, however
 many parameters there are. It does what ``torch.optim.Adam`` does after ``clip_grad_norm_``.
@@ -15,14 +15,13 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from pearl_marl.compiler.loading import loop
+from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.training.restoring import copied, whole
 
 Array = npt.NDArray[Any]
 
-FADING, FADING_SQUARES = 0.9, 0.999
-"""What remains, at each step, of the means of gradients and of their squares."""
-
+BETA_1, BETA_2 = 0.9, 0.999
+"""Shares of the means of gradients, and of their squares, that remain at each step."""
 
 LINE = 16
 """Numbers of a cache line."""
@@ -34,32 +33,29 @@ def _adam(
     mean: Array,
     square: Array,
     rate: float,
-    known: float,
+    correction: float,
     epsilon: float,
-    longest: float,
+    max_grad_norm: float,
 ) -> None:
-    """Move all values by their gradient, in one go: ``known`` is how much of the squares' mean is known."""
+    """Move all values by their gradient, in one pass; ``correction`` is of the bias of the squares' mean."""
     length = 0.0
     for i in range(len(gradient)):
         length += gradient[i] * gradient[i]
-    cut = np.float32(min(longest / (math.sqrt(length) + 1e-6), 1.0))
-    fade, fade_squares = np.float32(1 - FADING), np.float32(1 - FADING_SQUARES)
-    far, share, least = np.float32(rate), np.float32(1 / known), np.float32(epsilon)
+    factor = np.float32(min(max_grad_norm / (math.sqrt(length) + 1e-6), 1.0))
+    toward, toward_square = np.float32(1 - BETA_1), np.float32(1 - BETA_2)
+    rate_32, per_correction, epsilon_32 = np.float32(rate), np.float32(1 / correction), np.float32(epsilon)
     for i in range(len(values)):
-        step = gradient[i] * cut
-        mean[i] += fade * (step - mean[i])
-        square[i] += fade_squares * (step * step - square[i])
-        values[i] -= far * mean[i] / (np.sqrt(square[i] * share) + least)
+        step = gradient[i] * factor
+        mean[i] += toward * (step - mean[i])
+        square[i] += toward_square * (step * step - square[i])
+        values[i] -= rate_32 * mean[i] / (np.sqrt(square[i] * per_correction) + epsilon_32)
 
 
-_move = loop(_adam)
-
-Gradients = list[tuple[Tensor, Tensor]]
-"""Tensors, each with the gradient of the loss by it."""
+move_all = compiled_loop(_adam)
 
 
 class Adam:
-    """Moves parameters, which it takes into one tensor; they have to be where they stay.
+    """Moves parameters, which it takes into one tensor; move them to their device before.
 
     Parameters
     ----------
@@ -67,47 +63,45 @@ class Adam:
         All of the same dtype and device.
     epsilon
         What is added to the root of the mean square that steps are divided by.
-    longest
-        The length to which the gradient of all parameters together is cut.
+    max_grad_norm
+        The norm to which the gradient of all parameters together is clipped.
     """
 
-    def __init__(self, parameters: Iterable[nn.Parameter], epsilon: float, longest: float) -> None:
+    def __init__(self, parameters: Iterable[nn.Parameter], epsilon: float, max_grad_norm: float) -> None:
         self.parameters = list(parameters)
-        self.epsilon, self.longest = epsilon, longest
+        self.epsilon, self.max_grad_norm = epsilon, max_grad_norm
         # Each begins on a cache line, as it does alone: products of matrices differ in last bits where not.
         sizes = [-(-parameter.numel() // LINE) * LINE for parameter in self.parameters]
         self._values = self.parameters[0].new_zeros(sum(sizes))
         self._gradient, self._mean, self._square = (torch.zeros_like(self._values) for _ in range(3))
         self._steps = 0
         parts = (torch.split(tensor, sizes) for tensor in (self._values, self._gradient))
-        for parameter, *rooms in zip(self.parameters, *parts, strict=True):
-            values, gradient = (room[: parameter.numel()].view_as(parameter) for room in rooms)
+        for parameter, *pieces in zip(self.parameters, *parts, strict=True):
+            values, gradient = (piece[: parameter.numel()].view_as(parameter) for piece in pieces)
             parameter.data, parameter.grad = values.copy_(parameter.data), gradient
 
-    def backward(self, gradients: Gradients) -> None:
-        """Find the gradients by the parameters, of a loss of which those by some tensors are known."""
+    def zero_grad(self) -> None:
+        """Forget the gradients that the parameters have."""
         self._gradient.zero_()
-        tensors, by = map(list, zip(*gradients, strict=True))
-        torch.autograd.backward(tensors, by)
 
     def step(self, rate: float) -> None:
         """Learn at a learning rate from the gradients that the parameters have."""
         self._steps += 1
         state = self._values, self._gradient, self._mean, self._square
-        rates = rate / (1 - FADING**self._steps), 1 - FADING_SQUARES**self._steps
+        rates = rate / (1 - BETA_1**self._steps), 1 - BETA_2**self._steps
         if self._values.is_cuda:
             self._move(*state, *rates)
         else:
-            _move(*(tensor.numpy() for tensor in state), *rates, self.epsilon, self.longest)
+            move_all()(*(tensor.numpy() for tensor in state), *rates, self.epsilon, self.max_grad_norm)
 
     def _move(
-        self, values: Tensor, gradient: Tensor, mean: Tensor, square: Tensor, rate: float, known: float
+        self, values: Tensor, gradient: Tensor, mean: Tensor, square: Tensor, rate: float, correction: float
     ) -> None:
-        """Do what the function of that name does on a CPU."""
-        gradient *= (self.longest / (gradient.norm() + 1e-6)).clamp(max=1)
-        mean.lerp_(gradient, 1 - FADING)
-        square.mul_(FADING_SQUARES).addcmul_(gradient, gradient, value=1 - FADING_SQUARES)
-        values.addcdiv_(mean, square.div(known).sqrt_().add_(self.epsilon), value=-rate)
+        """Do on a GPU what ``_adam`` does on a CPU."""
+        gradient *= (self.max_grad_norm / (gradient.norm() + 1e-6)).clamp(max=1)
+        mean.lerp_(gradient, 1 - BETA_1)
+        square.mul_(BETA_2).addcmul_(gradient, gradient, value=1 - BETA_2)
+        values.addcdiv_(mean, square.div(correction).sqrt_().add_(self.epsilon), value=-rate)
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that later steps depend on, but for the parameters."""

@@ -1,6 +1,7 @@
-"""What DQN learns from a minibatch, compiled: the gradients by all weights, in one pass over the rows.
+"""The gradients of DQN's loss, compiled: by all weights of a small network, in one pass over a minibatch.
 
-For networks that :mod:`pearl_marl.policies.dense` can do. It does what DQN's own operations of PyTorch do.
+They are those that autograd finds for ``DQN.gradients``. The networks are those of
+:mod:`pearl_marl.policies.dense`.
 """
 
 from __future__ import annotations
@@ -10,18 +11,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.compiler.loading import loop
+from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.policies import dense
 from pearl_marl.policies.dense import (
     ROWS,
-    Given,
     Layers,
-    ahead,
-    back,
-    given_back,
+    Observed,
+    backward_rows,
+    forward_rows,
+    gradient_sums,
     padded,
-    sums,
-    tile,
+    store_gradients,
+    tile_of,
 )
 from pearl_marl.policies.network import MASKED
 
@@ -31,34 +32,34 @@ _MASKED = np.float32(MASKED)
 
 
 class Steps(NamedTuple):
-    """What was done and what came of it, a row each."""
+    """Actions and their consequences, a row for each."""
 
     actions: Array  # int64
     rewards: Array  # float32
-    over: Array  # whether that was the end
-    alive: Array  # whether the agent was there; who was not is not learned from
-    masks: Array  # (n, outputs), 0 for what was not allowed next; or (0, 0)
+    over: Array  # whether the episode ended
+    alive: Array  # whether the agent took part; if not, the row is not learned from
+    masks: Array  # (n, outputs), 0 for actions that were not allowed next; or (0, 0)
 
 
-def _learn(
+def _gradients(
     policy: Layers,
     target: Layers,
     gradients: Layers,
-    seen: Given,
-    arrivals: Given,
-    judged: Given,
+    inputs: Observed,
+    next_inputs: Observed,
+    target_inputs: Observed,
     steps: Steps,
     discount: float,
 ) -> float:
     """Compute the gradients of Huber's loss, with double estimation; return the loss.
 
-    ``arrivals`` and ``judged`` are the same observations for the policy and for the target, each of which has
-    its own statistics to standardise them by.
+    ``next_inputs`` and ``target_inputs`` are the same observations for the policy and for the target, which
+    standardise them by statistics of their own.
     """
     n, outputs = len(steps.actions), len(policy.bias3)
     weights, target_weights = padded(policy), padded(target)
     out = len(weights.bias3)
-    room, target_room, total = tile(policy), tile(target), sums(gradients)
+    tile, target_tile, total = tile_of(policy), tile_of(target), gradient_sums(gradients)
     there = 0
     for row in range(n):
         there += steps.alive[row]
@@ -67,29 +68,29 @@ def _learn(
     wanted = np.empty(ROWS)
     for first in range(0, n, ROWS):
         some = numbers[first : first + ROWS]
-        ahead(policy, weights, arrivals, some, room)
-        ahead(target, target_weights, judged, some, target_room)
+        forward_rows(policy, weights, next_inputs, some, tile)
+        forward_rows(target, target_weights, target_inputs, some, target_tile)
         for s in range(len(some)):
             row, best, most = some[s], 0, _MASKED
             for k in range(outputs):
-                value = room.outputs[s * out + k]
+                value = tile.outputs[s * out + k]
                 if value > most and not (masked and steps.masks[row, k] == 0):
                     best, most = k, value
-            later = 0.0 if steps.over[row] else discount * target_room.outputs[s * out + best]
+            later = 0.0 if steps.over[row] else discount * target_tile.outputs[s * out + best]
             wanted[s] = steps.rewards[row] + later
-        ahead(policy, weights, seen, some, room)
+        forward_rows(policy, weights, inputs, some, tile)
         for s in range(len(some)):
             row = some[s]
-            apart = room.outputs[s * out + steps.actions[row]] - wanted[s]
-            near = min(max(apart, -1.0), 1.0)
-            room.outputs[s * out : (s + 1) * out] = 0
+            error = tile.outputs[s * out + steps.actions[row]] - wanted[s]
+            near = min(max(error, -1.0), 1.0)
+            tile.outputs[s * out : (s + 1) * out] = 0
             if steps.alive[row]:
-                loss += (apart - 0.5 * near) * near * share
-                room.outputs[s * out + steps.actions[row]] = near * share
-        room.outputs[len(some) * out :] = 0
-        back(policy, weights, seen, some, room, total, gradients)
-    given_back(total, gradients)
+                loss += (error - 0.5 * near) * near * share
+                tile.outputs[s * out + steps.actions[row]] = near * share
+        tile.outputs[len(some) * out :] = 0
+        backward_rows(policy, weights, inputs, some, tile, total, gradients)
+    store_gradients(total, gradients)
     return loss
 
 
-learn = loop(_learn, dense)
+gradients_of = compiled_loop(_gradients, dense)

@@ -1,35 +1,54 @@
 """Deep Q-learning, one network for all agents (Mnih et al., 2015, doi:10.1038/nature14236).
 
-With double estimation (van Hasselt et al., 2016, arXiv:1509.06461). All agents explore at once, each with its
-own share of random actions, and the replay memory holds their last steps. In worlds it is independent
-Q-learning (IQL): to an agent, the others are part of the environment.
+With double estimation (van Hasselt et al., 2016, arXiv:1509.06461). All agents explore at once, and the
+replay memory holds their last steps. In worlds it is independent Q-learning (IQL): to an agent, the others
+are part of the environment.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import huber_loss
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import SHARING, is_dense
 from pearl_marl.policies.trained import NetworkPolicy
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.adam import Adam
-from pearl_marl.training.dense_dqn import Steps
-from pearl_marl.training.dense_dqn import learn as learn_dense
+from pearl_marl.training.agents import TEAM, Agents, observed_spec, team_rewards
+from pearl_marl.training.dense_dqn import Steps, gradients_of
 from pearl_marl.training.restoring import copied, observed, whole
-from pearl_marl.training.rollout import TEAM, Agents, Trainer, seen_spec, team_rewards
-from pearl_marl.training.settings import SEEDS, WIDEST, Checked, check_memory, choice, count, number
+from pearl_marl.training.settings import (
+    SEEDS,
+    WIDEST,
+    TrainerSettings,
+    check_memory,
+    choice,
+    count,
+    number,
+)
+from pearl_marl.training.trainer import Trainer
 
-Remembered = tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]
-"""Actions, rewards, ends and who was there, of some steps; and of masks, what was allowed next."""
+
+class Minibatch(NamedTuple):
+    """Some steps of single agents, a row for each."""
+
+    obs: Tensor
+    actions: Tensor
+    rewards: Tensor
+    arrivals: Tensor  # observations of where the step led
+    over: Tensor  # whether the episode ended there
+    alive: Tensor  # whether the agent took part in the step
+    position: Tensor  # of the agent in its world
+    masks: Tensor | None = None  # of the actions that were allowed there, where the environment has any
 
 
 @dataclass(frozen=True)
-class Settings(Checked):
+class DQNSettings(TrainerSettings):
     """What a run of DQN depends on, each said beside its default."""
 
     n_agents: int = count(512, most=MAX_SLOTS)  # that gather experience
@@ -40,31 +59,33 @@ class Settings(Checked):
     minibatch: int = count(256)  # how many single steps an update learns from
     learning_rate: float = number(2e-3, most=1, above=True)  # of Adam
     discount: float = number(0.99, most=1)  # gamma
-    refresh: int = count(50)  # updates after which the target network becomes a copy of the network
-    explore_first: float = number(1.0, most=1)  # share of random actions at first
-    explore_last: float = number(0.02, most=1)  # and at last
-    exploring: float = number(0.2, most=1, above=True)  # the part of the run in which it falls
-    reward_scale: float = number(1.0, above=True)  # what rewards are multiplied with before anything else
+    target_update: int = count(50, formerly="refresh")  # updates between two copies into the target network
+    epsilon: float = number(1.0, most=1, formerly="explore_first")  # share of random actions at first
+    final_epsilon: float = number(0.02, most=1, formerly="explore_last")  # and at last
+    # The part of the run in which it falls.
+    exploration_fraction: float = number(0.2, most=1, above=True, formerly="exploring")
+    reward_scale: float = number(1.0, above=True)  # factor of rewards, before anything else
     width: int = count(64, most=WIDEST)  # of the network's layers
-    sharing: str = choice(*SHARING)  # what a world's agents share: all; all but being told who they are; none
-    rewards: str = choice(*TEAM)  # what an agent wants: its own, or the mean or the sum of its world's
-    chance: float = number(0.0, most=1)  # share of random actions where the policy is used
+    sharing: str = choice(*SHARING)  # of networks, among the agents of a world
+    rewards: str = choice(*TEAM)  # an agent's own, or the mean or sum of its world's
+    # Share of random actions where the trained policy is used.
+    evaluation_epsilon: float = number(0.0, most=1, formerly="chance")
     seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
 
 class DQN(Trainer):
     """A run of DQN: :meth:`iterate` is a step of all agents with its updates."""
 
-    def __init__(self, spec: EnvSpec, device: Any, settings: Settings) -> None:
+    def __init__(self, spec: EnvSpec, device: Any, settings: DQNSettings) -> None:
         n, depth = settings.n_agents, settings.memory
         if spec.turns:
             raise ArgumentError(
                 f"dqn learns from every step, and in {spec.name} agents take turns: use self-play"
             )
-        # Of every step in memory two observations, action, reward and end; of those learned from, no less.
+        # Of every step in memory, and of every one in a minibatch: two observations, action, reward and end.
         rows = n * depth + settings.minibatch
         check_memory(
-            seen_spec(spec, device),
+            observed_spec(spec, device),
             settings,
             device,
             ("n_agents", "memory", "minibatch"),
@@ -72,7 +93,9 @@ class DQN(Trainer):
             13 * rows,
         )
         torch.manual_seed(settings.seed)
-        self.policy = NetworkPolicy(spec, "values", settings.width, settings.sharing, settings.chance)
+        self.policy = NetworkPolicy(
+            spec, "values", settings.width, settings.sharing, epsilon=settings.evaluation_epsilon
+        )
         self.target = NetworkPolicy(spec, "values", settings.width, settings.sharing)
         agents = Agents(spec, device, n, settings.seed)
         obs, where = agents.obs, agents.obs.device
@@ -80,12 +103,11 @@ class DQN(Trainer):
         self.policy.to(where)
         self.target.to(where)
         self.target.load_state_dict(self.policy.state_dict())
-        self.optimiser = Adam(self.policy.parameters(), epsilon=1e-8, longest=10.0)
-        self.learned = {"policy": self.policy, "target": self.target, "optimiser": self.optimiser}
+        self.optimiser = Adam(self.policy.parameters(), epsilon=1e-8, max_grad_norm=10.0)
+        self.components = {"policy": self.policy, "target": self.target, "optimiser": self.optimiser}
         self.losses: list[Tensor] = []
         one = obs.shape[1:]
-        # A row a step: what was seen, done, got, where it led, and whether that was the end; whether the
-        # agent was there, as it may have ended before its world; and of masks, what it might do next.
+        # A row for each step, and a column for each agent: see Minibatch.
         self.memory = {
             "obs": torch.zeros((depth, n, *one), dtype=obs.dtype, device=where),
             "actions": torch.zeros((depth, n), dtype=torch.int64, device=where),
@@ -94,9 +116,9 @@ class DQN(Trainer):
             "over": torch.zeros((depth, n), dtype=torch.bool, device=where),
             "alive": torch.ones((depth, n), dtype=torch.bool, device=where),
         }
-        if agents.view.masks is not None:
+        if agents.inputs.masks is not None:
             self.memory["masks"] = torch.zeros(
-                (depth, *agents.view.masks.shape), dtype=torch.int8, device=where
+                (depth, *agents.inputs.masks.shape), dtype=torch.int8, device=where
             )
         self.updated = 0
 
@@ -104,7 +126,7 @@ class DQN(Trainer):
         """Step all agents and learn."""
         self._step()
         if self.done > self.settings.warm_up:
-            self.losses = [self._learn() for _ in range(self.settings.updates)]
+            self.losses = [self.learn() for _ in range(self.settings.updates)]
             self.check(torch.stack(self.losses))
 
     def figures(self) -> dict[str, float | None]:
@@ -115,82 +137,82 @@ class DQN(Trainer):
     @property
     def explored(self) -> float:
         """The share of actions that is random now."""
-        settings: Settings = self.settings
-        passed = min(1.0, self.done / (settings.exploring * settings.iterations))
-        return settings.explore_first + passed * (settings.explore_last - settings.explore_first)
+        settings: DQNSettings = self.settings
+        passed = min(1.0, self.done / (settings.exploration_fraction * settings.iterations))
+        return settings.epsilon + passed * (settings.final_epsilon - settings.epsilon)
 
     def _step(self) -> None:
-        view, alive = self.agents.view, self.agents.alive
-        self.policy.see(view.obs, view.position)
-        best = self.policy.best(view.obs, view.masks)
-        actions = self.explore(best, self.policy.outputs, self.explored, view.masks)
-        step = self.agents.step(actions)
+        agents, inputs = self.agents, self.agents.inputs
+        self.policy.see(inputs.obs, inputs.position)
+        best = self.policy.best(inputs.obs, inputs.masks)
+        actions = self.explore(best, self.policy.outputs, self.explored, inputs.masks)
+        self._remember(obs=inputs.obs, actions=actions, alive=agents.alive)
+        step = agents.step(actions)
         self.episodes.add(step.rewards[None], step.ended[None])
-        rewards = team_rewards(step.rewards, self.agents.spec.agents, self.settings.rewards)
+        rewards = team_rewards(step.rewards, agents.spec.agents, self.settings.rewards)
         rewards = rewards * self.settings.reward_scale
-        seen = [view.obs, actions, rewards, step.arrivals(), step.terminations, alive]
-        if self.agents.view.masks is not None:
-            # Where a time limit cut an episode short, nobody is told what was allowed next: anything.
-            seen.append(self.agents.view.masks.masked_fill(step.ended[:, None], 1))
-        for rows, value in zip(self.memory.values(), seen, strict=True):
-            rows[self.done % self.settings.memory] = value
+        self._remember(rewards=rewards, arrivals=step.arrivals(), over=step.terminations)
+        if agents.inputs.masks is not None:
+            # Where a time limit cut an episode short, the device does not tell the masks: all are allowed.
+            self._remember(masks=agents.inputs.masks.masked_fill(step.ended[:, None], 1))
         self.done += 1
 
-    def _learn(self) -> Tensor:
+    def _remember(self, **tensors: Tensor) -> None:
+        for name, tensor in tensors.items():
+            self.memory[name][self.done % self.settings.memory] = tensor
+
+    def learn(self) -> Tensor:
+        """Learn from a minibatch of the memory; return the loss."""
         settings = self.settings
         rows = min(self.done, settings.memory)
         chosen = torch.randint(
             rows * settings.n_agents, (settings.minibatch,), generator=self.random, device=self.where
         )
-        obs, actions, rewards, arrivals, over, alive, *masks = (
-            part[:rows].reshape(-1, *part.shape[2:])[chosen] for part in self.memory.values()
-        )
+        picked = {
+            name: tensor[:rows].reshape(-1, *tensor.shape[2:])[chosen] for name, tensor in self.memory.items()
+        }
         position = chosen % settings.n_agents % self.agents.spec.agents
-        steps = actions, rewards, over, alive, masks[0] if masks else None
-        network: Any = self.policy.network
-        learn = self.learn_compiled if is_dense(network) else self.learn_by_torch
-        loss = learn(obs, arrivals, position, steps)
+        minibatch = Minibatch(**picked, position=position)
+        gradients = self.compiled_gradients if is_dense(self.policy.network) else self.gradients
+        loss = gradients(minibatch)
         self.optimiser.step(settings.learning_rate)
         self.updated += 1
-        if self.updated % settings.refresh == 0:
+        if self.updated % settings.target_update == 0:
             self.target.load_state_dict(self.policy.state_dict())
         return loss
 
-    def learn_compiled(self, obs: Tensor, arrivals: Tensor, position: Tensor, steps: Remembered) -> Tensor:
-        """Find the gradients of some steps; return the loss."""
+    def gradients(self, minibatch: Minibatch) -> Tensor:
+        """Leave the gradients of a minibatch's loss with the parameters; return the loss."""
+        obs, actions, rewards, arrivals, over, alive, position, masks = minibatch
+        with torch.no_grad():
+            best = self.policy(arrivals, masks, position).argmax(1, keepdim=True)
+            later = self.target(arrivals, None, position).gather(1, best)[:, 0]
+            targets = rewards + self.settings.discount * later * ~over
+        values = self.policy(obs, None, position).gather(1, actions[:, None])[:, 0]
+        losses = huber_loss(values, targets, reduction="none") * alive
+        loss = losses.sum() / alive.sum().clamp(1)
+        self.optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        return loss.detach()
+
+    def compiled_gradients(self, minibatch: Minibatch) -> Tensor:
+        """Do the same by compiled loops, for networks that these can do."""
+        obs, actions, rewards, arrivals, over, alive, position, masks = minibatch
         network: Any = self.policy.network
         target: Any = self.target.network
-        *parts, masks = steps
-        allowed = torch.empty(0, self.policy.outputs, dtype=torch.int8) if masks is None else masks
-        loss = learn_dense(
+        if masks is None:
+            masks = torch.empty(0, self.policy.outputs, dtype=torch.int8)
+        loss = gradients_of()(
             network.layers(),
             target.layers(),
-            network.layers(lambda parameter: parameter.grad),
-            network.given(obs, position),
-            network.given(arrivals, position),
-            target.given(arrivals, position),
-            Steps(*(part.numpy() for part in (*parts, allowed))),
+            network.layers({parameter: parameter.grad for parameter in network.parameters()}),
+            network.observed(obs, position),
+            network.observed(arrivals, position),
+            target.observed(arrivals, position),
+            Steps(*(tensor.numpy() for tensor in (actions, rewards, over, alive, masks))),
             self.settings.discount,
         )
         return torch.tensor(loss)
-
-    def learn_by_torch(self, obs: Tensor, arrivals: Tensor, position: Tensor, steps: Remembered) -> Tensor:
-        """Do the same where compiled loops cannot."""
-        actions, rewards, over, alive, allowed = steps
-        with torch.no_grad():
-            best = self.policy(arrivals, allowed, position).argmax(1, keepdim=True)
-            later = self.target(arrivals, None, position).gather(1, best)[:, 0]
-            wanted = rewards + self.settings.discount * later * ~over
-        outputs = self.policy(obs, None, position)
-        with torch.no_grad():
-            apart = outputs.gather(1, actions[:, None])[:, 0] - wanted
-            share = alive / alive.sum().clamp(1)
-            # Huber's loss, and its gradient: of those who are far off it is no larger.
-            near = apart.clamp(-1, 1)
-            loss: Tensor = ((apart - 0.5 * near) * near * share).sum()
-            gradient = torch.zeros_like(outputs).scatter_(1, actions[:, None], (near * share)[:, None])
-        self.optimiser.backward([(outputs, gradient)])
-        return loss
 
     def state(self) -> dict[str, Any]:
         """Return all that the continuation depends on."""

@@ -4,52 +4,52 @@ from __future__ import annotations
 
 from typing import Any
 
-# Two who want to be in the same cell have to know who gives way, or leave it to chance.
+# Two agents that want to be in the same cell need to know which gives way, or act at random.
 FORAGING: dict[str, Any] = {
     "n_agents": 512,
-    "depth": 16,
+    "rollout_length": 16,
     "iterations": 120,
     "minibatch": 1024,
     "entropy": 0.01,
     "sharing": "indicator",
-    "chance": 1.0,
+    "temperature": 1.0,
 }
 
 # Many steps make a soup, which is worth 20: a long view, and small rewards.
 # Learn with --option reward_shaping_factor=1; what is cooked counts without it.
 COOKING: dict[str, Any] = {
     "n_agents": 256,
-    "depth": 64,
+    "rollout_length": 64,
     "iterations": 120,
     "minibatch": 2048,
     "learning_rate": 2e-3,
     "discount": 0.99,
-    "trace": 0.95,
+    "gae_lambda": 0.95,
     "entropy": 0.01,
     "reward_scale": 0.1,
     "sharing": "indicator",
-    "chance": 1.0,
+    "temperature": 1.0,
 }
 
 # A random player brings a shelf in one episode of sixty: rewards are made large, so that the first few count.
-# Robots that hardly see each other earn by chance: only large batches show what an action was worth.
+# Robots that hardly see each other earn by chance: only large batches show the value of an action.
 WAREHOUSE: dict[str, Any] = {
     "n_agents": 4096,
-    "depth": 64,
+    "rollout_length": 64,
     "iterations": 240,
     "minibatch": 8192,
     "learning_rate": 3e-3,
     "discount": 0.99,
-    "trace": 0.95,
+    "gae_lambda": 0.95,
     "entropy": 0.01,
     "reward_scale": 10.0,
     "width": 128,
     "sharing": "indicator",
-    "chance": 0.7,
+    "temperature": 0.7,
 }
 
 PRESETS: dict[tuple[str, str], dict[str, Any]] = {
-    # Fast rather than frugal: every step is learned from once, so another costs little.
+    # Fast rather than frugal: every step is learned from once, so another one costs little.
     ("ppo", "CartPole"): {
         "n_agents": 512,
         "epochs": 1,
@@ -58,13 +58,13 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "width": 32,
     },
     ("ppo", "MountainCar"): {
-        # The goal is far: what follows from it has to be seen through some 200 steps.
+        # The goal is far: its value has to travel back through some 200 steps.
         "n_agents": 2048,
-        "depth": 16,
+        "rollout_length": 16,
         "iterations": 150,
         "learning_rate": 1e-3,
         "discount": 0.99,
-        "trace": 0.98,
+        "gae_lambda": 0.98,
     },
     ("ppo", "Pendulum"): {
         "n_agents": 512,
@@ -81,7 +81,7 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "minibatch": 1024,
         "learning_rate": 1e-3,
         "discount": 0.995,
-        "trace": 0.95,
+        "gae_lambda": 0.95,
         "entropy": 0.03,
         "width": 128,
     },
@@ -103,15 +103,15 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("ppo", "Overcooked"): COOKING,
     ("ppo", "RobotWarehouse"): WAREHOUSE,
     ("mappo", "RobotWarehouse"): WAREHOUSE,
-    # Two players who share nothing: each has a network of its own.
+    # Two players that share nothing: each has a network of its own.
     ("ppo", "CoinGame"): {
         "n_agents": 512,
-        "depth": 16,
+        "rollout_length": 16,
         "minibatch": 2048,
         "entropy": 0.01,
         "sharing": "none",
-        "chance": 1.0,
+        "temperature": 1.0,
     },
     # Rewards are random: entries have to become means of many targets.
-    ("q-learning", "Blackjack"): {"rate": 1.0, "fading": 0.2, "epsilon": 0.5},
+    ("q-learning", "Blackjack"): {"learning_rate": 1.0, "learning_rate_decay": 0.2, "epsilon": 0.5},
 }

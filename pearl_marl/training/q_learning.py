@@ -7,6 +7,7 @@ agent learns for itself, from nothing but its own experience.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,21 +20,24 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import masked
 from pearl_marl.policies.trained import Table
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
+from pearl_marl.training.agents import Agents
 from pearl_marl.training.restoring import copied
-from pearl_marl.training.rollout import Agents, Trainer
-from pearl_marl.training.settings import SEEDS, Checked, check_memory, count, number
+from pearl_marl.training.settings import SEEDS, TrainerSettings, check_memory, count, number
+from pearl_marl.training.trainer import Trainer
 
 
 @dataclass(frozen=True)
-class Settings(Checked):
+class QLearningSettings(TrainerSettings):
     """What a run of Q-learning depends on, each said beside its default."""
 
     n_agents: int = count(43008, most=MAX_SLOTS)  # that gather experience, as many for each learner
     learners: int = count(1, most=MAX_SLOTS)  # tables; from 1, which all agents share, to n_agents
     iterations: int = count(300)  # steps of every agent
-    epsilon: float = number(0.2, most=1)  # share of random actions at first; falls evenly to 0 at EXPLORING
-    rate: float = number(0.5, most=1, above=True)  # how far an entry's first update moves it to its target
-    fading: float = number(0.0)  # after 1 / fading updates an entry moves half as far; 0: always as far
+    epsilon: float = number(0.2, most=1)  # share of random actions at first; falls evenly to 0
+    # How far an entry's first update moves it towards its target.
+    learning_rate: float = number(0.5, most=1, above=True, formerly="rate")
+    # After 1 / learning_rate_decay updates an entry moves half as far; with 0, always as far.
+    learning_rate_decay: float = number(0.0, formerly="fading")
     discount: float = number(1.0, most=1)  # gamma
     seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
@@ -44,7 +48,7 @@ class Settings(Checked):
             raise ArgumentError(f"setting 'learners' is {learners}; it must divide n_agents, {n}")
 
 
-EXPLORING = 0.8
+EXPLORATION_FRACTION = 0.8
 """The part of a run in which random actions become fewer."""
 
 
@@ -58,17 +62,17 @@ class QLearning(Trainer):
     settings
         The run's.
     rates
-        What stands in for ``settings.rate``, shape ``(learners,)``: learners may differ.
+        Learning rates instead of ``settings.learning_rate``, shape ``(learners,)``: learners may differ.
     rewards
-        What stands in for the environment's reward table, shape ``(learners, entries)``: learners may want
-        different things. The device hands out the numbers of entries instead, and each learner looks them up.
+        Reward tables instead of the environment's, shape ``(learners, entries)``: learners may want different
+        things. The device then returns the numbers of entries, and each learner looks them up.
     """
 
     def __init__(
         self,
         spec: EnvSpec,
         device: Any,
-        settings: Settings,
+        settings: QLearningSettings,
         rates: npt.NDArray[Any] | None = None,
         rewards: npt.NDArray[Any] | None = None,
     ) -> None:
@@ -82,15 +86,15 @@ class QLearning(Trainer):
         check_memory(spec, settings, device, ("n_agents", "learners"), n, others)
         self.policy = Table(spec, learners)
         entries = len(spec.rewards or ())
-        for name, given, shape in (("rates", rates, (learners,)), ("rewards", rewards, (learners, entries))):
-            if given is not None and np.shape(given) != shape:
-                raise ArgumentError(f"{name} have the shape {np.shape(given)}; of {spec.name} it is {shape}")
+        for name, array, shape in (("rates", rates, (learners,)), ("rewards", rewards, (learners, entries))):
+            if array is not None and np.shape(array) != shape:
+                raise ArgumentError(f"{name} have the shape {np.shape(array)}; of {spec.name} it is {shape}")
         agents = Agents(spec, device, n, settings.seed)
         where = agents.obs.device
         super().__init__(settings, agents, where)
         self.policy.to(where)
         if rates is None:
-            rates = np.full(learners, settings.rate)
+            rates = np.full(learners, settings.learning_rate)
         self.rates = torch.as_tensor(np.asarray(rates, np.float32), device=where)
         self.rewards: Tensor | None = None
         if rewards is not None:
@@ -106,25 +110,25 @@ class QLearning(Trainer):
     @property
     def explored(self) -> float:
         """The share of actions that is random now."""
-        settings: Settings = self.settings
-        return max(0.0, settings.epsilon * (1 - self.done / (EXPLORING * settings.iterations)))
+        settings: QLearningSettings = self.settings
+        return max(0.0, settings.epsilon * (1 - self.done / (EXPLORATION_FRACTION * settings.iterations)))
 
     def update(self) -> None:
         """Step all agents and update the tables."""
         rows, n_actions = self.rows, self.policy.values.shape[2]
         values = self.policy.values.view(-1, n_actions)  # of all learners, one below the other
-        masks, alive = self.agents.view.masks, self.agents.alive
+        masks, alive = self.agents.inputs.masks, self.agents.alive
         best = masked(values[rows], masks).argmax(1)
         actions = self.explore(best, n_actions, self.explored, masks)
         step = self.agents.step(actions)
         rewards = step.rewards
         if self.rewards is not None:
             rewards = self.rewards[self.learner, rewards.long()]
-        # Where the step itself led; in its place there may be the next episode's start already.
+        # Of where the step itself led: the observations may be the next episode's first ones already.
         later = values[self.policy.rows(step.arrivals())]
-        if self.agents.view.masks is not None:
-            # Where a time limit cut an episode short, nobody is told what was allowed next: anything.
-            later = masked(later, self.agents.view.masks.masked_fill(step.ended[:, None], 1))
+        if self.agents.inputs.masks is not None:
+            # Where a time limit cut an episode short, the device does not tell the masks: all are allowed.
+            later = masked(later, self.agents.inputs.masks.masked_fill(step.ended[:, None], 1))
         targets = rewards + self.settings.discount * later.amax(1) * ~step.terminations
         self._update(rows * n_actions + actions, targets, alive)
         self.episodes.add(rewards[None], step.ended[None])
@@ -138,14 +142,14 @@ class QLearning(Trainer):
     def _update(self, entries: Tensor, targets: Tensor, alive: Tensor) -> None:
         """Move the entries that agents visited towards the mean of their targets."""
         learner = self.learner
-        if self.agents.spec.agents > 1:  # else nobody has ended before its world
+        if self.agents.spec.agents > 1:  # else no agent has ended before its world
             entries, targets, learner = entries[alive], targets[alive], learner[alive]
         values, updates = self.policy.values.view(-1), self.updates
         self.visits.index_add_(0, entries, torch.ones_like(targets, dtype=torch.float64))
         self.sums.index_add_(0, entries, targets.double())
-        # Who visited the same entry computes the same for it, so that it matters not whose is kept.
+        # Agents that visited the same entry compute the same for it, so any of their results may be kept.
         mean = (self.sums[entries] / self.visits[entries]).float()
-        rates = self.rates[learner] / (1 + self.settings.fading * updates[entries])
+        rates = self.rates[learner] / (1 + self.settings.learning_rate_decay * updates[entries])
         old = values[entries]
         values[entries] = old + rates * (mean - old)
         updates[entries] = updates[entries] + 1
@@ -162,3 +166,10 @@ class QLearning(Trainer):
         copied("table", self.policy.values, state["values"])
         copied("number of updates", self.updates, state["updates"], least=0)
         self.rows = self.policy.rows(self.agents.obs)
+
+
+def __getattr__(name: str) -> Any:
+    if name != "Settings":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    warnings.warn(f"{__name__}.Settings is now QLearningSettings", DeprecationWarning, stacklevel=2)
+    return lambda **given: QLearningSettings(**QLearningSettings.renamed(given))

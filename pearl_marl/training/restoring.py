@@ -1,4 +1,4 @@
-"""What a trainer takes from a checkpoint, which others may have written: as its own is, or refused.
+"""Values that a trainer takes from a checkpoint, which others may have written: checked, or refused.
 
 Tensors are copied into those that are there, and PyTorch would stretch smaller ones to fit. Compiled loops
 trust numbers of rows and of actions.
@@ -25,9 +25,9 @@ def whole(name: str, value: Any) -> int:
 
 def copied(name: str, mine: Tensor, kept: Any, least: float | None = None, most: float | None = None) -> None:
     """Copy a tensor from a checkpoint into the trainer's own, of finite numbers between two bounds."""
-    what = f"{kept.dtype} of shape {tuple(kept.shape)}" if isinstance(kept, Tensor) else type(kept).__name__
-    if what != f"{mine.dtype} of shape {tuple(mine.shape)}":
-        raise ArgumentError(f"its {name} is {what}, not {mine.dtype} of shape {tuple(mine.shape)}")
+    kind = f"{kept.dtype} of shape {tuple(kept.shape)}" if isinstance(kept, Tensor) else type(kept).__name__
+    if kind != f"{mine.dtype} of shape {tuple(mine.shape)}":
+        raise ArgumentError(f"its {name} is {kind}, not {mine.dtype} of shape {tuple(mine.shape)}")
     if kept.dtype == torch.bool:
         right = bool((kept.contiguous().view(torch.uint8) <= 1).all())
     else:
@@ -41,7 +41,7 @@ def copied(name: str, mine: Tensor, kept: Any, least: float | None = None, most:
 
 
 def observed(name: str, mine: Tensor, kept: Any, filled: int, spec: EnvSpec) -> None:
-    """Do so with observations of each agent, of which the first rows are ``filled``, if they are so many."""
+    """Do so with observations of every agent; the first ``filled`` rows, if there are so many, have some."""
     copied(name, mine, kept)
     if not are_numbers(spec.observation_space):
         return

@@ -1,4 +1,4 @@
-"""A training run from its settings to its policy: what ``pearl train`` does."""
+"""A training from its settings to its policy, as ``pearl train`` does it."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import dataclasses
 import difflib
 import math
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ from pearl_marl.spec import EnvSpec
 from pearl_marl.training import dqn, ppo, q_learning, self_play
 from pearl_marl.training.presets import PRESETS
 from pearl_marl.training.run_folder import POLICY, RunFolder
-from pearl_marl.training.threads import threads_for
+from pearl_marl.training.trainer import threads_for
 
 ALGORITHMS: dict[str, Any] = {
     "ppo": ppo.PPO,
@@ -35,73 +34,36 @@ ALGORITHMS: dict[str, Any] = {
     "q-learning": q_learning.QLearning,
 }
 SETTINGS: dict[str, Any] = {
-    "ppo": ppo.Settings,
-    "mappo": ppo.Settings,
-    "self-play": self_play.Settings,
-    "dqn": dqn.Settings,
-    "q-learning": q_learning.Settings,
+    "ppo": ppo.PPOSettings,
+    "mappo": ppo.PPOSettings,
+    "self-play": self_play.SelfPlaySettings,
+    "dqn": dqn.DQNSettings,
+    "q-learning": q_learning.QLearningSettings,
 }
 
 ALIASES = {"ippo": "ppo", "iql": "dqn"}
-"""What the algorithms are called where they learn for every agent of a world."""
+"""Names of the algorithms where they learn for every agent of a world."""
 
 OPTIONS = ("n_agents", "iterations", "seed")
 """Settings that ``pearl train`` has options of their own for; others are given by ``--set``."""
 
-USUAL: dict[str, tuple[str, ...]] = {
-    "lr": ("learning_rate", "rate"),
-    "alpha": ("rate", "learning_rate"),
-    "learning_rate": ("rate",),
-    "gamma": ("discount",),
-    "lambda": ("trace",),
-    "gae_lambda": ("trace",),
-    "clip_range": ("clip",),
-    "clip_coef": ("clip",),
-    "clip_eps": ("clip",),
-    "ent_coef": ("entropy",),
-    "entropy_coef": ("entropy",),
-    "eps": ("epsilon", "explore_last"),
-    "epsilon": ("explore_last",),
-    "exploration_initial_eps": ("explore_first",),
-    "exploration_final_eps": ("explore_last",),
-    "exploration_fraction": ("exploring",),
-    "temperature": ("chance",),
-    "n_steps": ("depth",),
-    "num_steps": ("depth",),
-    "rollout_length": ("depth",),
-    "n_epochs": ("epochs",),
-    "num_epochs": ("epochs",),
-    "update_epochs": ("epochs",),
-    "batch_size": ("minibatch",),
-    "minibatch_size": ("minibatch",),
-    "gradient_steps": ("updates",),
-    "target_update_interval": ("refresh",),
-    "target_network_frequency": ("refresh",),
-    "buffer_size": ("memory",),
-    "learning_starts": ("warm_up",),
-    "hidden_size": ("width",),
-    "n_envs": ("n_agents",),
-    "num_envs": ("n_agents",),
-}
-"""What other libraries call settings, and the names here; the first that the algorithm has is meant."""
-
 BLOCKS = 8
-"""Into how many blocks agents are divided for shards, unless said otherwise: see ``ppo.Settings``."""
+"""Into how many blocks agents are divided for shards, unless said otherwise: see ``ppo.PPOSettings``."""
 
 _UNUSABLE = ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError
-"""What trainers raise where a checkpoint does not hold what it should."""
+"""Errors that trainers raise where a checkpoint does not hold what it should."""
 
 _NOT_ITS_FAULT = PearlError, torch.cuda.OutOfMemoryError
-"""Of these, what says that a device or a GPU has failed: the checkpoint is as good as it was."""
+"""Of these, errors that say that a device or a GPU has failed: the checkpoint is as good as it was."""
 
 
 def settings_for(
-    algorithm: str, env_id: str, given: dict[str, Any], shards: int | None = None, agents: int = 1
+    algorithm: str, env_id: str, changes: dict[str, Any], shards: int | None = None, agents: int = 1
 ) -> Any:
-    """Return an algorithm's settings for an environment: its preset, and over it those given.
+    """Return an algorithm's settings for an environment: its preset, with changes.
 
-    With ``shards``, agents are in blocks, as many for any number of shards. Unless their number is given, it
-    is one of whole worlds, of so many ``agents`` each.
+    With ``shards``, agents are in blocks, as many for any number of shards. Unless the changes say how many
+    agents there are, they are of whole worlds, of so many ``agents`` each.
 
     Raises
     ------
@@ -112,48 +74,34 @@ def settings_for(
     if algorithm not in ALGORITHMS:
         possible = ", ".join(map(repr, (*ALGORITHMS, *ALIASES)))
         raise ArgumentError(f"--algo is {algorithm!r}; possible are {possible}")
-    names = [setting.name for setting in dataclasses.fields(SETTINGS[algorithm])]
-    for name, value in given.items():
+    kind = SETTINGS[algorithm]
+    names = [setting.name for setting in dataclasses.fields(kind)]
+    changes = kind.renamed(changes)
+    for name, value in changes.items():
         if name not in names:
-            known = [usual for usual in USUAL.get(name, ()) if usual in names]
-            near = known or difflib.get_close_matches(name, names, 1)
+            near = difflib.get_close_matches(name, names, 1)
             hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names)}"
             raise ArgumentError(f"--set {name}: {algorithm} has no such setting; {hint}")
-        possible = SETTINGS[algorithm].range(name)
-        if value not in possible:
+        if value not in (possible := kind.range(name)):
             option = f"--{name.replace('_', '-')}" if name in OPTIONS else f"--set {name}"
             raise ArgumentError(f"{option} is {value!r}; it must be {possible}")
     preset = PRESETS.get((algorithm, get_spec(env_id).name), {})
-    settings = SETTINGS[algorithm](**{**preset, **given})
-    if "n_agents" not in given:
+    settings = SETTINGS[algorithm](**{**preset, **changes})
+    if "n_agents" not in changes:
         n = max(settings.n_agents // agents, 1) * agents
         settings = dataclasses.replace(settings, n_agents=n)
     if shards is None:
         return settings
     if algorithm != "ppo":
         raise ArgumentError(f"{algorithm} does not learn with --shards: leave it out, or use ppo")
-    if "blocks" in given:
+    if "blocks" in changes:
         return settings
     return dataclasses.replace(settings, blocks=min(BLOCKS, settings.n_agents))
 
 
-def train(
-    env_id: str,
-    options: dict[str, Any],
-    algorithm: str,
-    settings: Any,
-    device: str,
-    folder: Path,
-    goal: float | None = None,
-    evaluate_every: int | None = None,
-    progress: Callable[[int, int, dict[str, Any]], None] = lambda done, total, row: None,
-    checkpoint_seconds: float = 20.0,
-    evaluated: int | None = None,
-    shards: int | None = None,
-    undisturbed: Callable[[], AbstractContextManager[Any]] = contextlib.nullcontext,
-    stopped: Callable[[], bool] = lambda: False,
-) -> list[dict[str, Any]]:
-    """Train, and write the run's folder; return the metrics.
+@dataclasses.dataclass(frozen=True)
+class Training:
+    """A training, by all that its result depends on.
 
     Parameters
     ----------
@@ -161,111 +109,198 @@ def train(
         The environment, and where agents are stepped.
     algorithm, settings
         One of :data:`ALGORITHMS` or :data:`ALIASES`, and what :func:`settings_for` made.
-    folder
-        Of the run. If it holds one of the same settings, that goes on where its last checkpoint was.
     goal
-        The mean return of an agent in an evaluation, with which the run is done before its last iteration.
+        The mean return of an agent in an evaluation with which it ends before its last iteration.
     evaluate_every
         Iterations between evaluations, which are also when metrics are noted; by default there are 50.
-    progress
-        Called at every evaluation with the iterations done, those in all, and the metrics.
-    checkpoint_seconds
-        The least time between two checkpoints, which large replay memories take a while to write.
+    """
+
+    env_id: str
+    algorithm: str
+    settings: Any
+    options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    device: str = "native"
+    goal: float | None = None
+    evaluate_every: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.evaluate_every is not None and self.evaluate_every < 1:
+            raise ArgumentError(
+                f"--evaluate-every is {self.evaluate_every}; it must be a whole number of at least 1"
+            )
+        if self.goal is not None and not math.isfinite(self.goal):
+            raise ArgumentError(f"--goal is {self.goal}; it must be a finite number")
+
+    def trainer(self, shards: int | None) -> Any:
+        """Return the trainer; with ``shards``, so many processes step its agents."""
+        spec = get_spec(self.env_id).with_options(**self.options)
+        algorithm = ALIASES.get(self.algorithm, self.algorithm)
+        _check_worlds(spec, algorithm, self.settings)
+        spread = {} if shards is None else {"shards": shards}
+        return ALGORITHMS[algorithm](spec, self.device, self.settings, **spread)
+
+
+class TrainingRun:
+    """A training in its folder, where it goes on from its last checkpoint.
+
+    ::
+
+        run = TrainingRun(training, folder)
+        with run.claimed():
+            while not run.finished:
+                run.iterate()
+
+    Parameters
+    ----------
+    training
+        What it is.
+    folder
+        The run's. If it holds a run of the same training, that goes on where its last checkpoint was.
+    shards
+        How many processes step agents, by Ray; ``None`` for this one. The result is the same for any number,
+        and the number may change when the run goes on.
     evaluated
         Agents whose first episodes are an evaluation; by default as many as the algorithm suggests.
-    shards
-        How many processes step agents, by Ray; ``None`` for this one. Whatever it is, and whatever it was
-        before a run was killed, the result is the same.
-    undisturbed, stopped
-        An iteration, with its evaluation, is done in the first one's context. After it the second one is
-        asked, and if it says so, all is kept to go on with, and the run ends.
+    checkpoint_seconds
+        The least time between two checkpoints, which large replay memories take a while to write.
 
     Raises
     ------
-    KeyboardInterrupt
-        The run was stopped.
     ArgumentError
-        The folder holds a run of other settings, or cannot be written; or the algorithm does not suit the
-        environment.
+        The algorithm does not suit the environment.
     """
-    algorithm = ALIASES.get(algorithm, algorithm)
-    every = max(1, settings.iterations // 50) if evaluate_every is None else evaluate_every
-    if every < 1:
-        raise ArgumentError(f"--evaluate-every is {every}; it must be a whole number of at least 1")
-    if goal is not None and not math.isfinite(goal):
-        raise ArgumentError(f"--goal is {goal}; it must be a finite number")
-    spec = get_spec(env_id).with_options(**options)
-    _check_worlds(spec, algorithm, settings)
-    spread = {} if shards is None else {"shards": shards}
-    trainer = ALGORITHMS[algorithm](spec, device, settings, **spread)
-    run = RunFolder(
-        folder,
-        {
+
+    def __init__(
+        self,
+        training: Training,
+        folder: Path,
+        shards: int | None = None,
+        evaluated: int | None = None,
+        checkpoint_seconds: float = 20.0,
+    ) -> None:
+        settings, self.goal, self.checkpoint_seconds = training.settings, training.goal, checkpoint_seconds
+        self.trainer = training.trainer(shards)
+        self.spec = spec = self.trainer.policy.spec
+        self.algorithm = ALIASES.get(training.algorithm, training.algorithm)
+        self.iterations = settings.iterations
+        self.evaluate_every = training.evaluate_every or max(1, settings.iterations // 50)
+        self.evaluated = max((evaluated or self.trainer.evaluated) // spec.agents, 1) * spec.agents
+        self.best = -math.inf
+        about = {
             "environment": spec.id,
             "options": dict(spec.options),
-            "algorithm": algorithm,
+            "algorithm": self.algorithm,
             "settings": dataclasses.asdict(settings),
-            "device": device,
-            "goal": goal,
-            "evaluate_every": every,
-        },
-    )
+            "device": training.device,
+            "goal": training.goal,
+            "evaluate_every": self.evaluate_every,
+        }
+        self.folder = RunFolder(folder, about, SETTINGS[self.algorithm].successors())
+        self._began = self._kept = time.perf_counter()
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """The metrics so far, a dict for each evaluation."""
+        return self.folder.rows
+
+    @property
+    def finished(self) -> bool:
+        """Whether all iterations are done, or the goal is reached."""
+        reached = self.goal is not None and self.best >= self.goal
+        return reached or self.trainer.done == self.iterations
+
+    @contextlib.contextmanager
+    def claimed(self) -> Iterator[None]:
+        """Train in the block: the folder is this run's alone, and at the end has the learning curve.
+
+        Raises
+        ------
+        ArgumentError
+            Another process has the folder, it holds a run of another training, or cannot be written.
+        """
+        with self.folder.claimed():
+            seconds = self._resume()
+            self.folder.write_config()
+            self._kept = time.perf_counter()
+            self._began = self._kept - seconds
+            yield
+            self._draw_curve()
+
+    def iterate(self) -> dict[str, Any] | None:
+        """Go on by one iteration; return the metrics, if it was time for an evaluation."""
+        self.trainer.iterate()
+        row = None
+        if self.trainer.done == self.iterations or not self.trainer.done % self.evaluate_every:
+            row = self._evaluate()
+        due = row is not None and time.perf_counter() - self._kept >= self.checkpoint_seconds
+        if due or self.finished:
+            self._checkpoint()
+        return row
+
+    def keep(self) -> None:
+        """Keep all that is needed to go on later, also between two evaluations."""
+        self._checkpoint()
+        if self.rows:
+            self._draw_curve()
+
+    def _evaluate(self) -> dict[str, Any]:
+        """Note the metrics, and keep the policy if it is the best so far."""
+        trainer, spec = self.trainer, self.spec
+        with threads_for(spec, trainer.settings):
+            mean, deviation = evaluate(trainer.policy, spec, self.evaluated)
+        row = {"seconds": time.perf_counter() - self._began, **trainer.figures()}
+        row |= {"eval_return": mean, "eval_deviation": deviation}
+        if spec.agents > 1 and not spec.turns:
+            row["eval_world_return"] = mean * spec.agents
+        self.folder.report(trainer.agent_steps, **row)
+        # A policy that always beats a random player can still become better at beating others.
+        if mean > self.best or spec.turns:
+            self.best = max(self.best, mean)
+            trainer.policy.save(self.folder.path / POLICY)
+        self.folder.keep(getattr(trainer, "past", {}))
+        return row
+
+    def _checkpoint(self) -> None:
+        seconds = time.perf_counter() - self._began
+        self.folder.checkpoint({"trainer": self.trainer.state(), "seconds": seconds, "best": self.best})
+        self._kept = time.perf_counter()
+
+    def _draw_curve(self) -> None:
+        title = f"{self.spec.name}: {self.algorithm}, {self.trainer.settings.n_agents:,} agents"
+        self.folder.draw_curve(title, self.goal)
+
+    def _resume(self) -> float:
+        """Go on from the folder's checkpoint, if it has one; return the seconds that the run has taken."""
+        saved = self.folder.resume()
+        if saved is None:
+            return 0.0
+        trainer = self.trainer
+        try:
+            seconds, best = float(saved["seconds"]), float(saved["best"])
+            trainer.load(saved["trainer"])
+            if not isinstance(trainer.done, int) or not 0 <= trainer.done <= self.iterations:
+                raise ValueError(f"it has done {shown(trainer.done)} iterations of {self.iterations}")
+            if not self.rows and (trainer.done == self.iterations or best > -math.inf):
+                raise ValueError("it has no metrics of evaluations that were done")
+            if not math.isfinite(seconds) or math.isnan(best):
+                raise ValueError(f"it took {seconds} s, and its best return is {best}")
+        except _UNUSABLE as error:
+            refused = isinstance(error, (ArgumentError, SavedStateError))
+            if isinstance(error, _NOT_ITS_FAULT) and not refused:
+                raise
+            why = told(error) or type(error).__name__
+            raise self.folder.damaged(f"and cannot be gone on from ({why})") from error
+        self.best = best
+        self.folder.write_metrics()  # a kill may have left those of an earlier moment
+        return seconds
+
+
+def train(training: Training, folder: Path, evaluated: int | None = None) -> list[dict[str, Any]]:
+    """Train to the end, in a folder; return the metrics. See :class:`TrainingRun`."""
+    run = TrainingRun(training, folder, evaluated=evaluated)
     with run.claimed():
-        seconds, best = 0.0, -np.inf
-        if (saved := run.resume()) is not None:
-            try:
-                seconds, best = float(saved["seconds"]), float(saved["best"])
-                trainer.load(saved["trainer"])
-                if not isinstance(trainer.done, int) or not 0 <= trainer.done <= settings.iterations:
-                    raise ValueError(f"it has done {shown(trainer.done)} iterations of {settings.iterations}")
-                if not run.rows and (trainer.done == settings.iterations or best > -math.inf):
-                    raise ValueError("it has no metrics of evaluations that were done")
-                if not math.isfinite(seconds) or math.isnan(best):
-                    raise ValueError(f"it took {seconds} s, and its best return is {best}")
-            except _UNUSABLE as error:
-                if isinstance(error, _NOT_ITS_FAULT) and not isinstance(
-                    error, (ArgumentError, SavedStateError)
-                ):
-                    raise
-                why = told(error) or type(error).__name__
-                raise run.damaged(f"and cannot be gone on from ({why})") from error
-            run.write_metrics()  # a kill may have left those of an earlier moment
-        run.write_config()
-        began, kept = time.perf_counter() - seconds, time.perf_counter()
-        finished = goal is not None and best >= goal
-        curve = f"{spec.name}: {algorithm}, {settings.n_agents:,} agents"
-        while trainer.done < settings.iterations and not finished:
-            with undisturbed():
-                trainer.iterate()
-                last = trainer.done == settings.iterations
-                noting = last or not trainer.done % every
-                if noting:
-                    n = max((evaluated or trainer.evaluated) // spec.agents, 1) * spec.agents
-                    with threads_for(spec, settings):
-                        mean, deviation = evaluate(trainer.policy, spec, n)
-                    row = {"seconds": time.perf_counter() - began, **trainer.figures()}
-                    row |= {"eval_return": mean, "eval_deviation": deviation}
-                    if spec.agents > 1 and not spec.turns:
-                        row["eval_world_return"] = mean * spec.agents
-                    run.report(trainer.agent_steps, **row)
-                    progress(trainer.done, settings.iterations, row)
-                    finished = goal is not None and mean >= goal
-                    # Whoever always beats a random player can still become better at beating others.
-                    if mean > best or spec.turns:
-                        best = max(best, mean)
-                        trainer.policy.save(folder / POLICY)
-                    run.keep(getattr(trainer, "past", {}))
-            done = last or finished
-            stop = stopped() and not done
-            if stop or done or (noting and time.perf_counter() - kept >= checkpoint_seconds):
-                seconds = time.perf_counter() - began
-                run.checkpoint({"trainer": trainer.state(), "seconds": seconds, "best": best})
-                kept = time.perf_counter()
-            if stop:
-                if run.rows:
-                    run.draw_curve(curve, goal)
-                raise KeyboardInterrupt
-        run.draw_curve(curve, goal)
+        while not run.finished:
+            run.iterate()
     return run.rows
 
 
@@ -287,8 +322,7 @@ def _check_worlds(spec: EnvSpec, algorithm: str, settings: Any) -> None:
 def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> tuple[float, float]:
     """Return mean and standard deviation of the return of ``n`` agents' first episodes.
 
-    In a game of turns, the return against players who make random moves: against itself it would be that of
-    every policy.
+    In a game of turns, it is the return against random players: against itself, every policy has the same.
     """
     policy.seed(seed)
     if spec.turns:

@@ -22,21 +22,21 @@ from typing import Any
 import torch
 from torch.utils.tensorboard import SummaryWriter
 
-from pearl_marl.benchmark.machine import machine
+from pearl_marl.checks import is_number
 from pearl_marl.errors import ArgumentError, shown, told
+from pearl_marl.evaluation.machine import machine
 from pearl_marl.files import check_files, check_uncompressed, claimed, replace_file
 from pearl_marl.rendering import new_figure, save_figure
-from pearl_marl.spec import is_number
 
 CHECKPOINT, PREVIOUS = "checkpoint.pt", "checkpoint.previous.pt"
 CONFIG, METRICS, POLICY, CURVE = "config.json", "metrics.csv", "policy.safetensors", "learning_curve.png"
 
 FORMAT = 5
-"""Of checkpoints; another number for every change of what trainers keep in them."""
+"""Of checkpoints; it changes with the data that trainers keep in them."""
 
 
 class RunFolder:
-    """The folder of one run, new or to be gone on with; ``rows`` are the metrics so far, a dict a report.
+    """The folder of one run, new or resumed; ``rows`` are the metrics so far, a dict for each report.
 
     Parameters
     ----------
@@ -44,10 +44,15 @@ class RunFolder:
         The folder.
     settings
         What the run depends on, by name; JSON.
+    successors
+        Names of the algorithm's renamed settings, by those that an older run has for them.
     """
 
-    def __init__(self, path: Path, settings: dict[str, Any]) -> None:
+    def __init__(
+        self, path: Path, settings: dict[str, Any], successors: Mapping[str, str] | None = None
+    ) -> None:
         self.path = path
+        self._successors = successors or {}
         self.rows: list[dict[str, Any]] = []
         self._settings = json.loads(json.dumps(settings))
         self._board: SummaryWriter | None = None
@@ -78,7 +83,7 @@ class RunFolder:
 
     def _check(self, theirs: dict[str, Any], what_is: str) -> None:
         """Refuse settings that are not this run's."""
-        before, now = _flat(theirs), _flat(self._settings)
+        before, now = _flat(theirs, self._successors), _flat(self._settings, {})
         # Where nobody gives evaluate_every, it follows from the iterations.
         for name in sorted({**before, **now}, key="evaluate_every".__eq__):
             # As text: True is 1 in Python.
@@ -217,7 +222,7 @@ def _settings(config: Path) -> dict[str, Any]:
 _GLOBALS = re.compile(
     r"collections OrderedDict|torch._utils _rebuild_tensor_v2|torch [A-Z][A-Za-z0-9]+Storage"
 )
-"""What the pickle of tensors and plain data names."""
+"""Names in the pickle of tensors and plain data."""
 
 
 def _is_plain(archive: zipfile.ZipFile) -> bool:
@@ -248,7 +253,13 @@ def _is_row(row: Any) -> bool:
     )
 
 
-def _flat(settings: dict[str, Any]) -> dict[str, Any]:
-    """Return a run's settings with those of its algorithm among them."""
+def _flat(settings: dict[str, Any], successors: Mapping[str, str]) -> dict[str, Any]:
+    """Return a run's settings with those of its algorithm among them, by the names that they have now."""
     own = settings.get("settings")
-    return {**settings, **own, "settings": None} if isinstance(own, dict) else settings
+    if not isinstance(own, dict):
+        return settings
+    return {
+        **settings,
+        **{successors.get(name, name): value for name, value in own.items()},
+        "settings": None,
+    }

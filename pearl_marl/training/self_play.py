@@ -1,7 +1,7 @@
-"""Self-play: PPO against its past selves, for games that somebody wins.
+"""Self-play: PPO against its past selves, for games with a winner.
 
 From time to time the policy, as it is, joins the *league*, and stays there. In some worlds the learner plays
-all sides, in the others one, against members of the league. So it cannot forget how to beat who it has been.
+all sides, in the others one, against members of the league. So it cannot forget how to beat earlier policies.
 """
 
 from __future__ import annotations
@@ -16,18 +16,19 @@ from torch import Tensor
 from torch.func import functional_call
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.network import MASKED, check_weights, masked
+from pearl_marl.policies.network import MASKED, masked
+from pearl_marl.policies.policy_file import check_weights
 from pearl_marl.policies.trained import NetworkPolicy
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training import ppo
-from pearl_marl.training.actor_critic import View
+from pearl_marl.training.actor_critic import Inputs
 from pearl_marl.training.restoring import whole
-from pearl_marl.training.rollout import Experience, RolloutWorker, seed_of
+from pearl_marl.training.rollout import Rollout, RolloutWorker, seed_of
 from pearl_marl.training.settings import count, number
 
 
 @dataclass(frozen=True)
-class Settings(ppo.Settings):
+class SelfPlaySettings(ppo.PPOSettings):
     """What a run depends on: PPO's settings, and these."""
 
     join_every: int = count(10)  # iterations, after which the policy joins the league; and it does at first
@@ -46,39 +47,39 @@ class LeagueWorker(RolloutWorker):
         n, agents, seat = len(self.agents.obs), spec.agents, self.agents.position
         world = torch.arange(n, device=self.where) // agents
         first = round(settings.mirrored * (n // agents))
-        # Whose row it is: 0 the learner's, k the k-th opponent's. The learner has each seat equally often.
+        # The player of each row: 0 is the learner, k the k-th opponent. The learner has each seat as often.
         group = 1 + (world - first) // agents % settings.opponents
         self.players = torch.where((world < first) | (world % agents == seat), 0, group)
         self.met: list[int] = []
-        self.random_moves = torch.zeros(settings.depth, n, dtype=torch.bool, device=self.where)
+        self.random_moves = torch.zeros(settings.rollout_length, n, dtype=torch.bool, device=self.where)
 
-    def gather(self, rollout: int) -> Any:
-        """Step all agents, against members that the rollout's number decides; return the experience."""
+    def gather(self, rollout: int) -> Rollout:
+        """Step all agents, against members that the rollout's number decides; return the rollout."""
         settings = self.settings
         draw = np.random.default_rng(seed_of(settings.seed, rollout, 1))
         self.met = draw.choice(list(self.league), settings.opponents).tolist()
         random = torch.Generator(self.where).manual_seed(seed_of(settings.seed, rollout, 2))
-        chances = torch.rand((settings.depth, len(self.players)), generator=random, device=self.where)
-        self.random_moves = chances < settings.random_moves
+        draws = torch.rand((settings.rollout_length, len(self.players)), generator=random, device=self.where)
+        self.random_moves = draws < settings.random_moves
         return super().gather(rollout)
 
     def acting(self) -> Tensor:
-        """Return whose decisions are to be learned from: the learner's."""
+        """Return which agents' next decisions are learned from: the learner's."""
         return self.agents.acting & (self.players == 0)
 
-    def strays(self) -> Tensor:
+    def excluded(self) -> Tensor:
         """Return which moves are random."""
         return self.random_moves
 
-    def decide(self, view: View, step: int) -> Tensor:
-        """Return the outputs of the policies of all who play; equal ones where the move is random."""
+    def decide(self, inputs: Inputs, step: int) -> Tensor:
+        """Return the outputs of all players' policies; equal ones where the move is random."""
         policy, acting = self.model.policy, self.agents.acting
-        outputs = torch.full((len(view.obs), policy.outputs), MASKED, device=self.where)
+        outputs = torch.full((len(inputs.obs), policy.outputs), MASKED, device=self.where)
         for player, weights in enumerate([{}, *(self.league[k] for k in self.met)]):
             rows = (acting & (self.players == player)).nonzero()[:, 0]
-            seen = view.pick(rows)
-            outputs[rows] = functional_call(policy, weights, (seen.obs, seen.masks, seen.position))
-        anything = masked(torch.zeros_like(outputs), view.masks)
+            some = inputs.pick(rows)
+            outputs[rows] = functional_call(policy, weights, (some.obs, some.masks, some.position))
+        anything = masked(torch.zeros_like(outputs), inputs.masks)
         return torch.where(self.random_moves[step][:, None], anything, outputs)
 
 
@@ -87,7 +88,7 @@ class SelfPlay(ppo.PPO):
 
     gathers = LeagueWorker
 
-    def __init__(self, spec: EnvSpec, device: Any, settings: Settings) -> None:
+    def __init__(self, spec: EnvSpec, device: Any, settings: SelfPlaySettings) -> None:
         if spec.agents < 2:
             raise ArgumentError(f"{spec.name} has one agent in a world, and self-play takes two: use ppo")
         super().__init__(spec, device, settings)
@@ -96,16 +97,16 @@ class SelfPlay(ppo.PPO):
         self._join()
 
     def update(self) -> None:
-        """Gather experience and learn from it; join the league, if it is time."""
+        """Gather a rollout and learn from it; join the league, if it is time."""
         super().update()
         if self.done % self.settings.join_every == 0:
             self._join()
 
-    def count(self, experience: Experience) -> None:
+    def count(self, rollout: Rollout) -> None:
         """Count the episodes that ended: the learner's against the league, as against itself it wins half."""
         players = self.worker.players.reshape(-1, self.worker.spec.agents)
         counted = ((players == 0) & (players != 0).any(1, keepdim=True)).flatten()
-        self.episodes.add(experience.rewards * counted, experience.ended & counted)
+        self.episodes.add(rollout.rewards * counted, rollout.ended & counted)
 
     def _join(self) -> None:
         weights = self.policy.state_dict()

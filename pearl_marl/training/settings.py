@@ -1,8 +1,10 @@
-"""What the trainers' settings may be, said beside their defaults, and whether this machine can hold them."""
+"""Ranges of the trainers' settings, beside their defaults, and a check of the memory that they take."""
 
 from __future__ import annotations
 
 import math
+import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from numbers import Integral, Real
 from typing import Any
@@ -10,9 +12,9 @@ from typing import Any
 import torch
 
 from pearl_marl.batch.results import memory_of_machine
+from pearl_marl.checks import MANY
 from pearl_marl.devices import Cuda
 from pearl_marl.errors import ArgumentError
-from pearl_marl.limits import MANY
 from pearl_marl.spec import EnvSpec
 
 SEEDS = 2**63 - 1
@@ -46,14 +48,18 @@ class Range:
         return f"{kind} {first} to {self.most:,}"
 
 
-def count(default: int, least: int = 1, most: int = MANY) -> Any:
-    """Return a setting that counts something."""
-    return field(default=default, metadata={"range": Range(least, most, above=False, whole=True)})
+def _setting(default: Any, values: Range | Choice, formerly: str) -> Any:
+    return field(default=default, metadata={"range": values, "formerly": formerly})
 
 
-def number(default: float, most: float = math.inf, above: bool = False) -> Any:
-    """Return a setting that is a finite number from 0; of those above 0 only, if ``above``."""
-    return field(default=default, metadata={"range": Range(0, most, above, whole=False)})
+def count(default: int, least: int = 1, most: int = MANY, formerly: str = "") -> Any:
+    """Return a setting that counts something; ``formerly`` is its name before it was renamed."""
+    return _setting(default, Range(least, most, above=False, whole=True), formerly)
+
+
+def number(default: float, most: float = math.inf, above: bool = False, formerly: str = "") -> Any:
+    """Return a setting that is a finite number from 0, or above 0 only, if ``above``."""
+    return _setting(default, Range(0, most, above, whole=False), formerly)
 
 
 @dataclass(frozen=True)
@@ -71,17 +77,35 @@ class Choice:
 
 def choice(*words: str) -> Any:
     """Return a setting that is one of some words, by default the first."""
-    return field(default=words[0], metadata={"range": Choice(words)})
+    return _setting(words[0], Choice(words), "")
 
 
-class Checked:
+class TrainerSettings:
     """A dataclass of :func:`count`, :func:`number` and :func:`choice`, each within its range."""
 
     @classmethod
     def range(cls, name: str) -> Range | Choice:
-        """Return what a setting may be."""
+        """Return the values that a setting may have."""
         (found,) = (f.metadata["range"] for f in fields(cls) if f.name == name)  # type: ignore[arg-type]
         return found  # type: ignore[no-any-return]
+
+    @classmethod
+    def renamed(cls, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return settings by the names that they have now; earlier names warn."""
+        successors, result = cls.successors(), {}
+        for said, value in values.items():
+            if (name := successors.get(said, said)) in result:
+                raise ArgumentError(f"setting {name!r} is given twice, also as {said!r}: give it once")
+            if name != said:
+                warnings.warn(f"the setting {said!r} is now {name!r}", DeprecationWarning, stacklevel=3)
+            result[name] = value
+        return result
+
+    @classmethod
+    def successors(cls) -> dict[str, str]:
+        """Return the names of renamed settings, by those that they had before."""
+        named = ((f.metadata["formerly"], f.name) for f in fields(cls))  # type: ignore[arg-type]
+        return {old: new for old, new in named if old}
 
     def __post_init__(self) -> None:
         for setting in fields(self):  # type: ignore[arg-type]
@@ -98,11 +122,11 @@ def check_memory(
     Parameters
     ----------
     spec, settings, device
-        The run's. With the device ``"cuda"``, what is learned from is on the GPU.
+        The run's. With the device ``"cuda"``, the samples are on the GPU.
     names
         The settings that the memory grows with.
     observations, others
-        What the run holds at least: observations, and bytes of anything else.
+        Observations that the run holds at least, and bytes of anything else.
 
     Raises
     ------
@@ -114,8 +138,8 @@ def check_memory(
     if device == Cuda.name and torch.cuda.is_available():
         there, where = torch.cuda.get_device_properties(0).total_memory, "the GPU"
     if needed > there:
-        given = ", ".join(f"{name}={getattr(settings, name)}" for name in names)
+        chosen = ", ".join(f"{name}={getattr(settings, name)}" for name in names)
         raise ArgumentError(
-            f"training on {spec.name} with {given} takes at least {needed / 2**30:,.1f} GiB of memory, and "
+            f"training on {spec.name} with {chosen} takes at least {needed / 2**30:,.1f} GiB of memory, and "
             f"{where} has {there / 2**30:,.1f} GiB: make one of these settings smaller"
         )

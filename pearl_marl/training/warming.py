@@ -22,6 +22,6 @@ def warm_training() -> int:
 
 
 def _learn_a_little() -> None:
-    for algorithm, env_id, given in RUNS:
-        settings = settings_for(algorithm, env_id, {"n_agents": 2, **given})
+    for algorithm, env_id, changes in RUNS:
+        settings = settings_for(algorithm, env_id, {"n_agents": 2, **changes})
         ALGORITHMS[algorithm](get_spec(env_id), "native", settings).iterate()

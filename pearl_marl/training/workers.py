@@ -1,7 +1,7 @@
 """Rollouts of one training run, gathered by many processes: weights travel instead of steps.
 
-What a worker gathers depends on what it is sent and on its agents' state, which comes back each time. A
-worker that was lost is replaced by one that is given that state, and gathers the same.
+A worker's rollout depends on the weights that it is sent and on its agents' state, which comes back each
+time. A lost worker is replaced by one that gets that state, and gathers the same.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ import torch
 from pearl_marl.batch.config import BatchConfig, worlds_of
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.devices import cluster
-from pearl_marl.devices.ray import Parcel, contents, parcel
+from pearl_marl.devices.ray import Packed, pack, unpacked
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.policies.network import Array
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.actor_critic import ActorCritic
-from pearl_marl.training.rollout import Experience, RolloutWorker, block_edges
+from pearl_marl.training.rollout import Rollout, RolloutWorker, block_edges
 
 RESOURCES: dict[str, dict[str, float]] = {"cuda": {"GPU": 1}, "xdma": {"fpga": 1}, "serial": {"fpga": 1}}
-"""What a worker takes up of the machine that it is placed on, by its device."""
+"""Resources that a worker needs of its machine, by its device."""
 
 ATTEMPTS = 3
 """How often in a row a worker may be lost in the same rollout, or while it starts."""
 
 
 class Worker:
-    """What runs in a process of its own: a :class:`RolloutWorker` that is sent weights."""
+    """A :class:`RolloutWorker` in a process of its own, which is sent weights."""
 
-    def begin(self, parcel: Parcel) -> SavedState:
+    def begin(self, packed: Packed) -> SavedState:
         """Make the agents; return their state. In the parcel are arguments of :class:`RolloutWorker`."""
         torch.set_num_threads(1)
-        spec, device, settings, blocks = contents(parcel)
+        spec, device, settings, blocks = unpacked(packed)
         self.model = ActorCritic(spec, settings.width, settings.sharing)
         self.worker = RolloutWorker(spec, device, settings, self.model, blocks)
         self.model.to(self.worker.where)
@@ -45,13 +45,14 @@ class Worker:
     def gather(
         self, rollout: int, weights: dict[str, Array], state: SavedState | None
     ) -> tuple[list[Array | None], SavedState]:
-        """Return a rollout's experience, and the agents' state after it; they begin at ``state``, if any."""
+        """Return a rollout's tensors, and the agents' state after it; they begin at ``state``, if any."""
         if state is not None:
             self.worker.agents.load(state)
-        # Copies: what comes out of the object store cannot be written to.
+        # Copies: arrays out of the object store cannot be written to.
         self.model.load_state_dict({name: torch.tensor(array) for name, array in weights.items()})
-        parts = self.worker.gather(rollout).parts()
-        return [None if part is None else part.cpu().numpy() for part in parts], self.worker.agents.state()
+        tensors = self.worker.gather(rollout).tensors()
+        arrays = [None if tensor is None else tensor.cpu().numpy() for tensor in tensors]
+        return arrays, self.worker.agents.state()
 
 
 class RayWorkers:
@@ -64,7 +65,7 @@ class RayWorkers:
     ArgumentError
         There are fewer blocks than shards.
     DeviceError
-        There is no Ray, or no place for a worker.
+        There is no Ray, or no machine for a worker.
     """
 
     def __init__(self, spec: EnvSpec, device: str, settings: Any, model: ActorCritic, shards: int) -> None:
@@ -87,11 +88,11 @@ class RayWorkers:
             started = list(pool.map(self._start, range(shards)))
         self._actors = [actor for actor, _ in started]
         self._states = [state for _, state in started]
-        self._apart = [False] * shards  # whether an actor's agents are not in the state noted here
+        self._behind = [False] * shards  # whether an actor's agents have to be given the state noted here
 
     def _start(self, i: int) -> tuple[Any, SavedState]:
         """Return an actor for a shard, and its agents' first state."""
-        sent = parcel(self.spec, self.device, self.settings, self._blocks[i])
+        sent = pack(self.spec, self.device, self.settings, self._blocks[i])
         for attempt in itertools.count(1):
             try:
                 actor = cluster.start_actor(Worker, resources=self._resources)
@@ -100,12 +101,12 @@ class RayWorkers:
                 self._give_up(i, attempt, "while it started", error)
         raise AssertionError
 
-    def gather(self, rollout: int) -> Experience:
-        """Have all agents stepped; return the experience of the rollout of that number."""
+    def gather(self, rollout: int) -> Rollout:
+        """Have all agents stepped; return the rollout of that number."""
         weights = self._put({name: tensor.cpu().numpy() for name, tensor in self.model.state_dict().items()})
         under_way = [self._ask(i, rollout, weights) for i in range(len(self._actors))]
         # Should it fail, all begin at the states noted here, whichever were done.
-        self._apart = [True] * len(self._actors)
+        self._behind = [True] * len(self._actors)
         gathered: list[tuple[list[Array | None], SavedState]] = []
         for i, asked in enumerate(under_way):
             for attempt in itertools.count(1):
@@ -119,13 +120,13 @@ class RayWorkers:
                     self._actors[i], _ = self._start(i)
                     asked = self._ask(i, rollout, weights)
         self._states = [state for _, state in gathered]
-        self._apart = [False] * len(self._actors)
-        return Experience.of(
+        self._behind = [False] * len(self._actors)
+        return Rollout.of(
             [self._joined(part) for part in zip(*(share for share, _ in gathered), strict=True)]
         )
 
     def _joined(self, parts: tuple[Array | None, ...]) -> torch.Tensor | None:
-        """Return what shards have of something, side by side; all have it, or none does."""
+        """Return the parts of all shards side by side, or None if they have none."""
         arrays = [part for part in parts if part is not None]
         return torch.from_numpy(np.concatenate(arrays, 1)).to(self.where) if arrays else None
 
@@ -139,12 +140,12 @@ class RayWorkers:
             ) from error
 
     def _ask(self, i: int, rollout: int, weights: Any) -> Any:
-        state = self._states[i] if self._apart[i] else None
+        state = self._states[i] if self._behind[i] else None
         return self._actors[i].gather.remote(rollout, weights, state)
 
     @property
     def config(self) -> BatchConfig:
-        """What a saved state of all agents has to agree with."""
+        """The batch that a saved state of all agents has to agree with."""
         return BatchConfig(spec=self.spec, n_envs=worlds_of(self.spec, self.settings.n_agents))
 
     def state(self) -> SavedState:
@@ -155,4 +156,4 @@ class RayWorkers:
         """Go on from what :meth:`state` returned, or that of this process's own agents."""
         edges = [block_edges(self.settings, blocks) for blocks in self._blocks]
         self._states = [state.cut(self.spec, slice(edge[0], edge[-1])) for edge in edges]
-        self._apart = [True] * len(self._states)
+        self._behind = [True] * len(self._states)

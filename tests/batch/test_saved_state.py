@@ -91,7 +91,7 @@ HEADERS |= {
     "a byte more": (lambda header, arrays: arrays.append(0), "by its header of"),
     "somebody has left": (
         lambda header, arrays: (header["lengths"].__setitem__(2, N), arrays.extend(b"\1" * N)),
-        "5 bytes of live; this environment has 0",
+        "5 bytes of present; this environment has 0",
     ),
     "stored states": (
         lambda header, arrays: (header["lengths"].__setitem__(1, 448), arrays.extend(bytes(448))),
@@ -112,12 +112,12 @@ def test_lives_are_0_or_1_and_as_many_as_agents() -> None:
     env.load_state(edited(blob, lambda header, arrays: arrays.__setitem__(slice(-2, None), b"\0\1")))
     assert env.agents == ["agent_0", "agent_1", "agent_2", "agent_4"]
     refused(
-        env, edited(blob, lambda header, arrays: arrays.__setitem__(-1, 2)), "2 for an agent that is live"
+        env, edited(blob, lambda header, arrays: arrays.__setitem__(-1, 2)), "2 for an agent that is present"
     )
     refused(
         env,
         edited(blob, lambda header, arrays: (header["lengths"].__setitem__(2, 4), arrays.pop())),
-        "4 bytes of live; this environment has 5",
+        "4 bytes of present; this environment has 5",
     )
 
 

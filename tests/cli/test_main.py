@@ -138,7 +138,7 @@ def test_ctrl_c_at_work(then: str, tmp_path: Path) -> None:
     pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
     mark, out = tmp_path / "reached", tmp_path / "run"
     hook = SLOW.format(mark=str(mark), then=then)
-    hook += "\nfrom pearl_marl.training import rollout\nslowly(rollout, 'make_device')\n"
+    hook += "\nfrom pearl_marl.training import agents\nslowly(agents, 'make_device')\n"
     process = started(hook, "train", "CartPole", "--n-agents", 32, "--out", out)
     status, err = interrupted(process, mark.exists)
     assert status == 130, err

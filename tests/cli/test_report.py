@@ -14,11 +14,12 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from pearl_marl.benchmark.contenders import contenders
 from pearl_marl.benchmark.measure import Contender
+from pearl_marl.benchmark.steps import contenders
+from pearl_marl.benchmark.tables import BATCH, ENVPOOL, KERNEL
 from pearl_marl.cli import app
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.experiments import energy, figure6, figure7, figure8, goals, readme, report
+from pearl_marl.experiments import energy, figure6, figure7, figure8, goals, report
 from pearl_marl.experiments.section import KINDS, Row, select
 from pearl_marl.registry import get_spec, names
 
@@ -94,15 +95,14 @@ def check(folder: Path, name: str, page: Page) -> dict[str, Any]:
 def test_quick(
     tmp_path: Path, recwarn: pytest.WarningsRecorder, monkeypatch: pytest.MonkeyPatch, but: tuple[str, ...]
 ) -> None:
-    """Every section has its files, and the page their numbers; the second time, all is kept."""
-    # Each contender's training is a process; `pearl bench --training --quick` has them in the docs' tests,
+    """Every section has its files, and the page their numbers."""
+    # Each training is a process of its own; the benchmark's tests have those,
     # and the trainers' tests learn in worlds.
     monkeypatch.setattr(report, "SECTIONS", [name for name in report.SECTIONS if name not in but])
     if but:  # two of the games that are learned in seconds do as well as four
         few = [goal for goal in goals.goals() if goal.env_id in ("CliffWalking", "Blackjack")]
         monkeypatch.setattr(goals, "goals", lambda: few)
-    arguments = ["report", "--quick", "--out", str(tmp_path)]
-    result = CliRunner().invoke(app, arguments)
+    result = CliRunner().invoke(app, ["report", "--quick", "--out", str(tmp_path)])
     assert result.exit_code == 0, result.output
     assert not [w for w in recwarn if "precision lowered" in str(w.message)], "of EnvPool's spaces"
     page = Page((tmp_path / "index.html").read_text())
@@ -125,7 +125,7 @@ def test_quick(
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
 
     kinds = {row["contender"]: row["kind"] for row in rows["figure6"] if row.get("steps_per_second")}
-    assert kinds[figure6.BATCH] == "measured"
+    assert kinds[BATCH] == "measured"
     assert kinds[figure6.SIMULATED] == "simulated"
     assert kinds[figure6.BOARD] == "predicted"
     assert kinds[figure6.SIMULATED_SERIAL] == "simulated"
@@ -151,13 +151,6 @@ def test_quick(
     assert summaries[figure7.BATCHED]["reached"]
     assert all(summaries[name]["common_seconds"] > 0 for name in figure7.SOURCES)
     assert select(rows["population"], part="alone")[-1]["reached"] == 1
-    assert "| `step_batch` | 64 |" in (tmp_path / "readme_table.md").read_text()
-
-    before = {path.name: path.read_bytes() for path in tmp_path.glob("*.json")}
-    again = CliRunner().invoke(app, arguments)
-    assert again.exit_code == 0
-    assert again.stderr.count(": kept, of ") == len(report.SECTIONS)
-    assert {path.name: path.read_bytes() for path in tmp_path.glob("*.json")} == before
 
 
 def test_without_torch_the_rest_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -196,10 +189,9 @@ def sections(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         )
 
     made: Any = SimpleNamespace(calls=[], fails={})
-    modules = {name: section(name) for name in ("one", "two", "figure6")}
+    modules = {name: section(name) for name in ("one", "two", "three")}
     monkeypatch.setattr(report, "SECTIONS", tuple(modules))
     monkeypatch.setattr(report, "load", modules.__getitem__)
-    monkeypatch.setattr(readme, "tables", lambda data: "a table")
     return made
 
 
@@ -214,9 +206,8 @@ def test_a_killed_run_goes_on(sections: Any, tmp_path: Path) -> None:
     sections.fails.clear()
     result = run(tmp_path)
     assert result.exit_code == 0, result.output
-    assert sections.calls == ["one", "two", "two", "figure6"]
+    assert sections.calls == ["one", "two", "two", "three"]
     assert f"delete {tmp_path / 'one.json'}" in result.stderr
-    assert (tmp_path / "readme_table.md").read_text() == "a table"
     assert not list(tmp_path.glob(".*")), "nothing half-written is left"
 
 
@@ -253,7 +244,7 @@ def test_what_cannot_be_made_is_told(sections: Any, tmp_path: Path) -> None:
     sections.fails["one"] = DeviceError("the program yosys is missing")
     result = run(tmp_path)
     assert result.exit_code == 1
-    assert sections.calls == ["one", "two", "figure6"]
+    assert sections.calls == ["one", "two", "three"]
     assert "one: not made: the program yosys is missing" in result.stderr
     text = (tmp_path / "index.html").read_text()
     assert "Not made: the program yosys is missing" in text
@@ -265,7 +256,7 @@ def test_only_some(sections: Any, tmp_path: Path) -> None:
     result = run(tmp_path, "--only", "two", "--only", "one")
     assert result.exit_code == 0
     assert sections.calls == ["one", "two"]
-    assert "pearl report --only figure6" in (tmp_path / "index.html").read_text()
+    assert "pearl report --only three" in (tmp_path / "index.html").read_text()
 
 
 def test_refused_calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -280,9 +271,9 @@ def test_refused_calls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_every_contender_has_its_name() -> None:
-    """Figure 6 looks for contenders of `pearl bench` by name."""
+    """Figure 6 looks for contenders of `pearl bench steps` by name."""
     known = {contender.name for contender in contenders(get_spec("CliffWalking"), 7)}
-    assert {*readme.ROWS, *figure6.PEERS, figure6.SIMULATED} <= known
+    assert {KERNEL, BATCH, *figure6.PEERS, figure6.SIMULATED} <= known
 
 
 def test_builds_of_figure_9_are_those_of_all() -> None:
@@ -324,9 +315,9 @@ def test_eq_1_is_fitted_as_it_is_drawn() -> None:
 
 def test_a_run_made_again_counts_where_it_was_not_disturbed() -> None:
     points = [[(1.0, 10, 5.0), (4.0, 20, 9.0)], [(2.0, 10, 5.0), (3.0, 20, 9.0)]]
-    runs = [figure7.Run("SB3", 0, 4, made) for made in points]
+    runs = [figure7.TimedRun("SB3", 0, 4, made) for made in points]
     assert figure7.undisturbed(runs).points == [(1.0, 10, 5.0), (2.0, 20, 9.0)]
-    other = figure7.Run("SB3", 0, 4, [(1.5, 10, 9.0)])
+    other = figure7.TimedRun("SB3", 0, 4, [(1.5, 10, 9.0)])
     assert figure7.undisturbed([*runs, other]) is other, "the shortest, where they did not do the same"
 
 
@@ -375,8 +366,7 @@ def test_figure_8_where_energy_is_counted(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 STEPPED = [
-    Contender(name, "nothing", 100, lambda: lambda: None)
-    for name in (figure6.KERNEL, figure6.BATCH, figure6.ENVPOOL, figure6.SYNC)
+    Contender(name, "nothing", 100, lambda: lambda: None) for name in (KERNEL, BATCH, ENVPOOL, figure6.SYNC)
 ]
 
 

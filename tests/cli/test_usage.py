@@ -23,8 +23,9 @@ Pearl = Callable[..., tuple[int, str, str]]
 @pytest.mark.parametrize(
     ("line", "sentence"),
     [
-        ("bench CartPole --quick", "--quick works only with --training: add that, or leave --quick out"),
-        ("bench --training --growth", "--training has settings of its own: leave out --all, --growth,"),
+        ("bench steps CartPole --quick", "bench steps has no option --quick; "),
+        ("bench training CartPole Taxi", "bench training does not take 'Taxi', in: pearl bench training"),
+        ("bench steps --json --markdown", "--json and --markdown are two forms of the same: leave one out"),
         ("run CartPole --n-agents abc", "--n-agents is 'abc'; it must be an integer"),
         ("run CartPole --seed 1.5", "--seed is '1.5'; it must be an integer"),
         ("train CartPole --goal high", "--goal is 'high'; it must be a number"),
@@ -72,7 +73,10 @@ Pearl = Callable[..., tuple[int, str, str]]
             "the number of episodes is 99,999,999,999; it must be at least 1, and this machine has memory",
         ),
         *(
-            (f"bench CartPole --seconds {seconds}", f"--seconds is {seconds}; it must be a number from 0 to")
+            (
+                f"bench steps CartPole --seconds {seconds}",
+                f"--seconds is {seconds}; it must be a number from 0 to",
+            )
             for seconds in ("inf", "nan", "-1.0")
         ),
         (
@@ -142,7 +146,7 @@ def test_an_empty_word_is_no_value(pearl: Pearl) -> None:
     assert (status, err) == (2, "pearl: --out is empty; give it a value, or leave it out\n")
 
 
-@pytest.mark.parametrize("command", ["run", "bench", "verify", "eval --policy random"])
+@pytest.mark.parametrize("command", ["run", "bench steps", "verify", "eval --policy random"])
 def test_an_empty_word_is_no_environment(pearl: Pearl, command: str) -> None:
     status, _, err = pearl(*command.split(), "")
     assert (status, err) == (2, "pearl: an argument is empty; give it a value, or leave it out\n")
@@ -158,7 +162,7 @@ FOLDERS = {
     "run CartPole": "--out",
     "train CartPole": "--out",
     "eval CartPole --policy random": "--out",
-    "bench CartPole": "--out",
+    "bench steps CartPole": "--out",
     "synth CartPole": "--out",
     "plan CartPole": "--out",
     "verify CartPole": "--out",
@@ -203,10 +207,10 @@ def test_where_nothing_can_be_written(
         ("run CliffWalking", "heat_map.png"),
         ("eval CartPole --policy random", "evaluation.json"),
         ("eval CartPole --policy random", "evaluation.html"),
-        ("eval CartPole --policy random --against x.npy --against y.npy", "matches.json"),
-        ("bench CartPole", "bench_CartPole_43008.json"),
-        ("bench --growth", "bench_growth.json"),
-        ("bench --all", "bench_all_43008.json"),
+        ("match ConnectFour x.npy y.npy", "matches.json"),
+        ("bench steps CartPole", "bench_CartPole_43008.json"),
+        ("bench growth", "bench_growth.json"),
+        ("bench steps --all", "bench_all_43008.json"),
         ("plan CartPole --n-envs 16", "plan_CartPole_16.json"),
         ("synth CartPole --n-envs 16 --pe-num 2 --data-wl 32", "synth_CartPole_xc7_2_32.json"),
         ("synth --all --n-envs 16", "synth_all_xc7_16.json"),

@@ -39,7 +39,7 @@ def config(folder: Path, agent: str, action_space: Any) -> dict[str, Any]:
 
 def within_bounds(env: Any) -> Any:
     """Its Gaussian policies draw any number."""
-    return env if isinstance(env.batch.slot_action_space, Discrete) else wrappers.clip_actions_v0(env)
+    return env if isinstance(env.batch.action_space, Discrete) else wrappers.clip_actions_v0(env)
 
 
 @pytest.mark.parametrize("agent", ["IPPO", "MAPPO"])
@@ -48,7 +48,7 @@ def test_many_agents(name: str, agent: str, tmp_path: Path) -> None:
     """It takes their spaces from ``observation_spaces`` and ``action_spaces``."""
     inside = within_bounds(pearl_marl.parallel_env(name, 4, max_cycles=5))
     env = wrap_env(inside, wrapper="pettingzoo", verbose=False)
-    settings = config(tmp_path, agent, inside.batch.slot_action_space)
+    settings = config(tmp_path, agent, inside.batch.action_space)
     settings["agent"]["learning_rate_scheduler_kwargs"] = {agent: {} for agent in env.possible_agents}
     runner = Runner(env, settings)
     models = runner.agent.models

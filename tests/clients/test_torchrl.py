@@ -42,7 +42,7 @@ def test_pettingzoo_wrapper(name: str) -> None:
         actions = dict(zip(twin.possible_agents, given, strict=True))
         for name_, theirs in zip(("reward", "terminated", "truncated"), twin.step(actions)[1:4], strict=True):
             shown = group[name_][t].squeeze(-1).tolist()
-            assert {agent: shown[twin.slots[agent]] for agent in theirs} == pytest.approx(dict(theirs))
+            assert {agent: shown[twin.rows[agent]] for agent in theirs} == pytest.approx(dict(theirs))
     assert not twin.agents
     assert group["done"][3].all()
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete
 
-from pearl_marl.compiler.flag_pieces import Run, runs
+from pearl_marl.compiler.flag_runs import FlagRun, runs
 from pearl_marl.devices import BatchConfig, Lockstep
 from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Bits
@@ -78,7 +78,7 @@ def test_runs() -> None:
     assert sizes == [1, 8, 8, 3, 1, 1, 8, 1, 1]
     assert runs(spec(LONG[:16], np.float32, masks=False)) == []
     few = spec(LONG[:16], np.float32, masks=True)
-    assert runs(few) == [Run("M", 0, 16, 3)]
+    assert runs(few) == [FlagRun(True, 0, 16, 3)]
 
 
 @pytest.mark.parametrize(

@@ -24,17 +24,17 @@ import pytest
 import pearl_marl
 from pearl_marl import rng
 from pearl_marl.cache import cache_folder
-from pearl_marl.compiler import kernels, llvm_functions
-from pearl_marl.compiler.cuda_source import cuda_source
+from pearl_marl.compiler import kernels
+from pearl_marl.compiler.cuda_source import PREFIXES, cuda_source
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.loading import fingerprint
-from pearl_marl.compiler.pieces import PREFIXES
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.golden import u32
 from pearl_marl.spec import EnvSpec
 
 from ..rtl.wide_steps import renamed
 from ..toy import DRIFT, LADDER, SLIDE
+from .plain import returning
 
 SPEC = pearl_marl.get_spec("CliffWalking")
 State: Any = SPEC.golden.state
@@ -182,13 +182,12 @@ def test_the_source_can_be_read(cache: Path) -> None:
         compile(text, str(path), "exec")
 
 
-@pytest.mark.parametrize("source", [kernel_source, cuda_source])
 @pytest.mark.parametrize("spec", [SPEC, DRIFT, LADDER, SLIDE, pearl_marl.get_spec("Seaquest")])
-def test_no_name_of_a_field_can_be_in_the_way(source: Callable[[EnvSpec], str], spec: EnvSpec) -> None:
+def test_no_name_of_a_field_can_be_in_the_way(spec: EnvSpec) -> None:
     """What is named after a field begins with one of the prefixes, and nothing else does."""
     observed = tuple(dataclasses.replace(f, name=f"{f.name}_mine") for f in spec.observation)
     mine = renamed(dataclasses.replace(spec, observation=observed), [f"{f.name}_mine" for f in spec.state])
-    text = source(mine)
+    text = cuda_source(mine)
     kernels_alone = text.split("@kernel", 1)[1]
     names = set(re.findall(r"\b[A-Za-z_]\w*", kernels_alone))
     ours = {name for name in names if name.endswith("_mine")}
@@ -407,16 +406,11 @@ def test_a_step_of_many_fields_is_simd_code(tmp_path: Path) -> None:
 
 def test_u32_of_a_draw_is_what_numpy_has() -> None:
     """The generator's twin in a kernel: one draw a slot, at both ends of the slot numbers."""
-    draw = llvm_functions.inlined(rng.draw)
-
-    @numba.njit  # type: ignore[untyped-decorator]
-    def compiled(slot: Any, key_a: Any, key_b: Any) -> Any:
-        return draw(slot, key_a, key_b)
-
+    compiled = returning(rng.draw)
     with np.errstate(over="ignore"):
         for slot in (0, 1, 2**31, 2**32 - 1):
             keys = u32(0x80000001), u32(0xFFFFFFFF)
-            assert compiled(u32(slot), *keys) == rng.draw(u32(slot), *keys)
+            assert compiled(u32(slot), *keys) == (rng.draw(u32(slot), *keys),)
 
 
 def test_the_source_of_a_spec_is_made_once() -> None:

@@ -8,8 +8,10 @@ import numba
 import numpy as np
 import pytest
 
-from pearl_marl.compiler.llvm_functions import inlined
+from pearl_marl.compiler.llvm_functions import Code, Value, written
 from pearl_marl.compiler.llvm_words import operations
+
+from .plain import inlined, returning
 
 N = 37
 
@@ -39,11 +41,11 @@ TABLE = np.arange(-N, N, dtype=np.int16) * np.int16(300)
 
 @pytest.mark.parametrize("function", [scale, shear, look_up])
 def test_what_it_does(function: Any) -> None:
-    written = inlined(function)
+    write = inlined(function)
 
     @numba.njit  # type: ignore[untyped-decorator]
     def compiled(words: Any, numbers: Any, m: Any) -> None:
-        written(words, numbers, m)
+        write(words, numbers, m)
 
     words = np.random.default_rng(0).integers(-(2**15), 2**15, N).astype(np.int16)
     expected, found = ((words.copy(), np.zeros(2 * N, np.float32)) for _ in range(2))
@@ -57,40 +59,58 @@ def test_what_it_does(function: Any) -> None:
 def test_one_calls_another() -> None:
     add = operations()["uint8_add"]
 
-    @inlined
     def twice(word: Any) -> Any:
         return add(word, word)
 
-    @inlined
     def fourfold(word: Any) -> Any:
         return twice(twice(word)), add(word, 1)
 
-    @numba.njit  # type: ignore[untyped-decorator]
-    def compiled(word: Any) -> Any:
-        return fourfold(word)
-
-    assert compiled(np.uint8(100)) == (400 & 255, 101)
+    assert returning(fourfold)(np.uint8(100)) == (400 & 255, 101)
 
 
-def test_branches_are_refused() -> None:
-    @inlined
+def test_an_if_that_asks_for_a_word_is_refused() -> None:
     def branch(word: Any) -> Any:
         return word if word else np.uint8(1)
 
-    @numba.njit  # type: ignore[untyped-decorator]
-    def compiled(word: Any) -> Any:
-        return branch(word)
+    with pytest.raises(TypeError, match=r"branches are written by `code\.when`"):
+        returning(branch)(np.uint8(1))
 
-    with pytest.raises(TypeError, match="no branches"):
-        compiled(np.uint8(1))
+
+def collatz(code: Code, arguments: dict[str, Any]) -> Value:
+    """Branches in a loop, and variables that last from turn to turn."""
+    starts, turns = arguments["starts"], arguments["turns"]
+    odd = code.variable(code.word(numba.int64, 0))
+    for i in code.range(arguments["m"]):
+        with code.either(starts[i] & 1) as (is_odd, is_even):
+            with is_odd:
+                odd[0] = odd[0] + 1
+                turns[i] = starts[i] * 3 + 1
+            with is_even:
+                turns[i] = starts[i] // 2
+        with code.when(turns[i].equals(4)):
+            turns[i] = 0
+    return odd[0]
+
+
+def test_branches() -> None:
+    write = written(collatz, ["starts", "turns", "m"], {})
+
+    @numba.njit  # type: ignore[untyped-decorator]
+    def compiled(starts: Any, turns: Any, m: Any) -> Any:
+        return write(starts, turns, m)
+
+    starts, turns = np.arange(N), np.zeros(N, np.int64)
+    assert compiled(starts, turns, N) == N // 2
+    due = [3 * start + 1 if start % 2 else start // 2 for start in range(N)]
+    assert turns.tolist() == [0 if turn == 4 else turn for turn in due]
 
 
 def test_words_that_lie_apart_are_refused() -> None:
-    written = inlined(scale)
+    write = inlined(scale)
 
     @numba.njit  # type: ignore[untyped-decorator]
     def compiled(words: Any, numbers: Any, m: Any) -> None:
-        written(words, numbers, m)
+        write(words, numbers, m)
 
     with pytest.raises(AssertionError, match="side by side"):
         compiled(np.zeros(2 * N, np.int16)[::2], np.zeros(2 * N, np.float32), N)

@@ -19,7 +19,7 @@ from llvmlite import ir
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.cache import cache_folder
 from pearl_marl.compiler import kernels, llvm_loops
-from pearl_marl.compiler.llvm_functions import Column, Word, _Heap, _written, inlined
+from pearl_marl.compiler.llvm_functions import Code, Column, Value, _Heap
 from pearl_marl.compiler.llvm_words import operations
 from pearl_marl.devices import BatchConfig, Native, Reference
 from pearl_marl.registry import get_spec, names
@@ -28,6 +28,7 @@ from pearl_marl.spec import EnvSpec
 from ..sampling import sampled
 from ..toy import LADDER
 from ..toy_world import MEADOW
+from .plain import inlined
 
 MOST = llvm_loops.MOST
 add, less, choose = (operations()[name] for name in ("int32_add", "int32_less", "int32_choose"))
@@ -162,9 +163,9 @@ def test_the_text_grows_as_the_loop_does_and_the_parts_do_not_grow(monkeypatch: 
         module = ir.Module()
         pointers = [ir.IntType(32).as_pointer(), ir.FloatType().as_pointer(), ir.IntType(64)]
         function = ir.Function(module, ir.FunctionType(ir.VoidType(), pointers), "row")
-        writer = llvm_loops.Writer(ir.IRBuilder(function.append_basic_block()), _Heap)
-        words = Column(writer, function.args[0], numba.int32), Column(writer, function.args[1], numba.float32)
-        _written(row_of(size), writer, (*words, Word(writer, function.args[2], numba.int64)))
+        code = Code(ir.IRBuilder(function.append_basic_block()), _Heap, {})
+        words = Column(code, function.args[0], numba.int32), Column(code, function.args[1], numba.float32)
+        code.inline(row_of(size), *words, Value(code, function.args[2], numba.int64))
         lines.append(str(module).count("\n"))
     assert 100 < max(accesses) <= MOST + 3
     assert lines[2] - lines[1] == pytest.approx(2 * (lines[1] - lines[0]), rel=0.05)

@@ -114,7 +114,7 @@ FAULTS: list[tuple[Callable[[Path], None], str, str, str]] = [
         "ask_signed(node.args[0], bits)",
     ),
     (check_text, "scheduling", "last[i] = max(last[i], stage[j])", "last[i] = max(last[i], stage[j] - 1)"),
-    (check_text, "verilog", "written.part(node, 0, bits, k - 1)", "written.part(node, 0, bits, stage)"),
+    (check_text, "verilog", "written.slice(node, 0, bits, k - 1)", "written.slice(node, 0, bits, stage)"),
     (
         check_text,
         "verilog",
@@ -126,8 +126,8 @@ FAULTS: list[tuple[Callable[[Path], None], str, str, str]] = [
     (
         check_text,
         "expressions",
-        "return self.part(args[0], low + node.imm, bits, stage)",
-        "return self.part(args[0], low, bits, stage)",
+        "return self.slice(args[0], low + node.imm, bits, stage)",
+        "return self.slice(args[0], low, bits, stage)",
     ),
     (check_text, "expressions", "self.stage[user[node]] == self.stage[node]", "True"),
     (check_text, "expressions", "up, down = constant", "down, up = constant"),

@@ -15,8 +15,9 @@ import pytest
 
 from pearl_marl import object_code
 from pearl_marl.compiler import llvm_functions
-from pearl_marl.compiler.llvm_functions import inlined
 from pearl_marl.compiler.llvm_words import operations
+
+from .plain import inlined
 
 add = operations()["int32_add"]
 
@@ -70,7 +71,7 @@ def counted(words: Any, m: Any) -> None:
 
 
 def kernel() -> Any:
-    count = inlined(counted)
+    count = inlined(counted, alone=True)
 
     @numba.njit  # type: ignore[untyped-decorator]
     def run(words: Any, m: int) -> None:

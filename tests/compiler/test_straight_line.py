@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import inspect
 import random
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 import pytest
 
-from pearl_marl.compiler import llvm_functions, llvm_words, scalar_words
+from pearl_marl.compiler import llvm_words, scalar_words
 from pearl_marl.compiler.straight_line import golden_functions, maskers, observers
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import Draws, Word, call_reference
@@ -23,6 +21,7 @@ from pearl_marl.spec import EnvSpec, Field, Golden
 from ..rtl.random_steps import random_spec
 from ..rtl.wide_steps import FIXED, PLAIN, wide_spec
 from ..sampling import sampled
+from .plain import returning
 
 CASES = 25
 
@@ -55,15 +54,10 @@ def word(chance: random.Random, field: Field) -> Any:
 
 def compiled(spec: EnvSpec) -> dict[str, Any]:
     """Return the functions as LLVM has them, which is how kernels of a CPU call them."""
-    scope: dict[str, Any] = {"np": np, "inlined": llvm_functions.inlined, **llvm_words.operations()}
+    scope: dict[str, Any] = {"np": np, "inlined": lambda function: function, **llvm_words.operations()}
     exec("\n".join(golden_functions(spec)), scope)
-    result = {}
-    for name in ("initial", "golden_step", *observers(spec), *maskers(spec)):
-        _, *parameters = inspect.signature(scope[name]).parameters
-        arguments = ", ".join(parameters)
-        exec(f"def call({arguments}): return {name}({arguments})", scope)
-        result[name] = numba.njit(scope["call"])
-    return result
+    names = "initial", "golden_step", *observers(spec), *maskers(spec)
+    return {name: returning(scope[name]) for name in names}
 
 
 def assert_means_the_golden_functions(

@@ -71,7 +71,7 @@ class TestEnvironments(ContractSuite):
             device = native.open(size, max_cycles=5, copy=False)
             device.reset(seed=8)
             given = actions[:, : size * agents]
-            runs.append([device.step(row).each(lambda array: array[first].copy()) for row in given])
+            runs.append([device.step(row).map(lambda array: array[first].copy()) for row in given])
         assert_same_trajectory(*runs)
 
 

@@ -35,8 +35,12 @@ class Training(Kind):
 
     def train(self) -> Any:
         settings = training.settings_for(self.algorithm, self.env_id, self.given)
-        run = self.env_id, {}, self.algorithm, settings, "native", self.folder
-        return training.train(*run, evaluate_every=1, checkpoint_seconds=0.0, evaluated=4)
+        plan = training.Training(self.env_id, self.algorithm, settings, evaluate_every=1)
+        run = training.TrainingRun(plan, self.folder, evaluated=4, checkpoint_seconds=0.0)
+        with run.claimed():
+            while not run.finished:
+                run.iterate()
+        return run.rows
 
     def found(self) -> dict[Path, bytes]:
         return {path: path.read_bytes() for path in self.folder.rglob("*") if path.is_file()}
@@ -131,7 +135,13 @@ class Leagues(Training):
 
     weight = 2
     algorithm, env_id = "self-play", "ConnectFour"
-    given: ClassVar[dict[str, Any]] = {"n_agents": 4, "iterations": 2, "width": 8, "minibatch": 8, "depth": 8}
+    given: ClassVar[dict[str, Any]] = {
+        "n_agents": 4,
+        "iterations": 2,
+        "width": 8,
+        "minibatch": 8,
+        "rollout_length": 8,
+    }
 
 
 class Memories(Training):

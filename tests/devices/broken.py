@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pearl_marl.batch.step import Seen
+from pearl_marl.batch.step import Observed
 from pearl_marl.devices import BatchConfig, BatchStep, Native
 
 Array = np.ndarray[Any, Any]
@@ -47,7 +47,7 @@ class FlipsStart(Native):
         super().__init__()
         self.slot = slot
 
-    def _reset(self, mask: Array | None, seed: int | None) -> Seen:
+    def _reset(self, mask: Array | None, seed: int | None) -> Observed:
         seen = super()._reset(mask, seed)
         if mask is None or mask[self.slot]:
             flip_bit(seen.obs, self.slot)
@@ -59,7 +59,7 @@ class Forgets(Native):
 
     name = "forgets"
 
-    def _write(self, memory: Array, stored: Array) -> Seen:
+    def _write(self, memory: Array, stored: Array) -> Observed:
         seen = super()._write(memory, stored)
         self._elapsed[3] ^= 1
         return seen

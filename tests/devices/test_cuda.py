@@ -21,8 +21,8 @@ from gymnasium.vector import AutoresetMode
 import pearl_marl
 from pearl_marl import wrappers
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.benchmark.contenders import contenders
 from pearl_marl.benchmark.measure import measure
+from pearl_marl.benchmark.steps import contenders
 from pearl_marl.compiler.cuda_source import cuda_source
 from pearl_marl.devices import BatchConfig, Cuda, Lockstep, Native, Sharded, cuda
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError
@@ -93,7 +93,7 @@ def test_trainers_work_where_the_agents_are(algorithm: str) -> None:
     """With the numbers of a training on the host, where the simulator computes as that does."""
     training = importlib.import_module("pearl_marl.training.run")
     small: dict[str, dict[str, Any]] = {
-        "ppo": {"depth": 4, "minibatch": 8, "blocks": 2},
+        "ppo": {"rollout_length": 4, "minibatch": 8, "blocks": 2},
         "dqn": {"memory": 3, "warm_up": 1, "minibatch": 8},
         "q-learning": {},
     }

@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode
 
 import pearl_marl
 from pearl_marl import get_spec
-from pearl_marl.devices import BatchConfig, BatchStep, Device, Lockstep, Native, Rtl, Sharded, Xdma
+from pearl_marl.devices import BatchConfig, BatchStep, Device, Lockstep, Native, Phase, Rtl, Sharded, Xdma
 from pearl_marl.devices.recovery import CheckpointLog
 from pearl_marl.errors import ArgumentError, DeviceError, OrderError
 from pearl_marl.testing import assert_same_step
@@ -148,6 +148,33 @@ def test_a_call_that_was_not_noted_did_not_happen(call: str, monkeypatch: pytest
     device.close()
 
 
+def test_phases() -> None:
+    faults = Faults()
+    device = faulty(OwnBoard(3), faults)
+    assert device.phase is Phase.NEW
+    device.open(BatchConfig(**CONFIG))
+    assert device.phase is Phase.OPEN
+    faults.plan = ["refused"]
+    with pytest.raises(DeviceError):
+        device.reset()
+    assert device.phase is Phase.OPEN, "nothing is known of it yet, not even a seed"
+    with pytest.raises(OrderError, match=r"step\(\) before reset\(\)"):
+        device.step(actions(1)[0])
+    device.reset(seed=1)
+    assert device.phase is Phase.READY
+    device.send(actions(1)[0])
+    assert device.phase is Phase.STEPPING
+    device.recv()
+    faults.plan = ["refused"]
+    with pytest.raises(DeviceError):
+        device.step(actions(1)[0])
+    assert device.phase is Phase.FAILED
+    device.recover()
+    assert device.phase is Phase.READY
+    device.close()
+    assert device.phase is Phase.CLOSED
+
+
 def test_a_device_that_cannot_take_its_rewards_is_closed() -> None:
     class Refuses(Native):
         def _apply_rewards(self, table: Any) -> None:
@@ -201,7 +228,7 @@ def test_a_device_that_keeps_nothing_says_so(monkeypatch: pytest.MonkeyPatch) ->
     device = Rtl(3).open(BatchConfig(**CONFIG))
     device.reset(seed=0)
     device.recover()
-    monkeypatch.setattr(device._transport, "exchange", lambda *_: None)
+    monkeypatch.setattr(device._protocol.transport, "exchange", lambda *_: None)
     for call in (lambda: device.step(actions(1)[0]), device.recover):
         with pytest.raises(DeviceError, match=r"call reset\(\), or load a saved state, to go on"):
             call()
@@ -337,7 +364,7 @@ def test_a_ctrl_c_in_the_midst_of_a_step(monkeypatch: pytest.MonkeyPatch) -> Non
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(device._transport, "wait", interrupted)
+        patch.setattr(device._protocol.transport, "wait", interrupted)
         with pytest.raises(KeyboardInterrupt):
             device.step(second)
     device.recover()

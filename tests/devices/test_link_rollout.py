@@ -26,7 +26,7 @@ from pearl_marl.memory_map import (
     memory_map,
 )
 from pearl_marl.policies.device_policy import elements_of, policy_draws
-from pearl_marl.policies.integer_network import Head, IntegerNetwork
+from pearl_marl.policies.integer_network import IntegerNetwork
 
 from ..rtl.random_policies import random_network, random_table
 from ..toy_world import MEADOW
@@ -84,7 +84,7 @@ def step_by_step(device: Device, obs: Any, policy: IntegerNetwork, steps: int, s
         choice = policy.choose(np.asarray(obs), agents, device.action_masks, draws)
         result = device.step(choice.words[:, 0])
         sums.step(result, device.config.autoreset_mode is NEXT)
-        obs = result.seen.obs
+        obs = result.observed.obs
     return obs
 
 
@@ -154,7 +154,7 @@ def test_a_rollout_is_its_steps(
         episodes += found.episodes
         assert hardware.tick == native.tick
         assert np.array_equal(hardware.snapshot().memory, native.snapshot().memory)
-        assert np.array_equal(hardware.alive, native.alive)
+        assert np.array_equal(hardware.in_episode, native.in_episode)
         if native.action_masks is not None:
             assert np.array_equal(hardware.action_masks, native.action_masks)
         if steps == 21:
@@ -181,18 +181,19 @@ def test_a_rollout_is_its_steps(
     native.close()
 
 
-def test_a_rollout_without_an_engine_is_refused() -> None:
+def test_without_an_engine_the_host_acts() -> None:
     spec = get_spec("CliffWalking")
-    device = Rtl(4, 32)
-    device.open(BatchConfig(spec=spec, n_envs=7))
-    device.reset(seed=1)
-    policy = random_table(np.random.default_rng(0), spec, 8, drawn=False)
-    with pytest.raises(ArgumentError, match="the hardware has no policy engine"):
-        device.rollout(policy, 5)
-    for steps in (0, True, 1 << 32, 1.5):
-        with pytest.raises(ArgumentError, match="it must be an integer from 1 to 4,294,967,295"):
-            device.rollout(policy, steps)  # type: ignore[arg-type]
-    device.close()
+    policy = random_table(np.random.default_rng(0), spec, 8, drawn=True)
+    results = []
+    for device in (Rtl(4, 32), Native()):
+        device.open(BatchConfig(spec=spec, n_envs=7, max_cycles=9))
+        device.reset(seed=1)
+        results.append((device.rollout(policy, 30), device.snapshot().memory))
+        device.close()
+    (ours, memory), (theirs, wanted) = results
+    assert np.array_equal(ours.returns, theirs.returns)
+    assert np.array_equal(ours.lengths, theirs.lengths)
+    assert np.array_equal(memory, wanted)
 
 
 def test_what_an_engine_does_not_take_is_said() -> None:
@@ -219,11 +220,6 @@ def test_what_an_engine_does_not_take_is_said() -> None:
         (table, TABLE._replace(table_rows=63), "has room for 63 rows, and this table has 64"),
         (wide, TABLE, "has logits of 8 bits, and this policy has"),
         (dataclasses.replace(network, layers=(*two, network.layers[2])), NETWORK, "one table of activations"),
-        (
-            dataclasses.replace(network, head=Head((2,), 40, network.head.weights)),  # type: ignore[union-attr]
-            NETWORK,
-            "by 31 bits at most, and this policy by 40",
-        ),
     ):
         with pytest.raises(ArgumentError, match=sentence):
             policy_words(policy, engine)
@@ -256,7 +252,7 @@ def test_a_rollout_tells_how_far_it_is_and_a_reset_ends_it() -> None:
     device.open(BatchConfig(spec=spec, n_envs=7, max_cycles=13))
     device.reset(seed=3)
     first = device.rollout(policy, 30)
-    layout, transport = memory_map(spec, 7, 4, 32, TABLE), device._transport
+    layout, transport = memory_map(spec, 7, 4, 32, TABLE), device._protocol.transport
 
     def words(region: str, count: int) -> Any:
         found = np.zeros(4 * count, np.uint8)

@@ -12,8 +12,8 @@ import pytest
 
 import pearl_marl
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.compiler.block_pieces import BLOCK
-from pearl_marl.devices import BatchConfig, Lockstep, Native, native
+from pearl_marl.compiler.kernel_loops import BLOCK
+from pearl_marl.devices import BatchConfig, Lockstep, Native, Phase, native
 from pearl_marl.errors import ActionError, OrderError
 from pearl_marl.testing import assert_same_trajectory, trajectory
 from pearl_marl.testing.case import assert_same_step
@@ -148,9 +148,9 @@ def test_a_ctrl_c_in_recv_leaves_the_step_under_way(monkeypatch: pytest.MonkeyPa
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        assert device.under_way is not None
-        patch.setattr(device.under_way[1], "result", interrupted)
-        patch.setattr(device.under_way[1], "done", lambda: False)
+        assert device.phase is Phase.STEPPING
+        patch.setattr(device._sent[1], "result", interrupted)
+        patch.setattr(device._sent[1], "done", lambda: False)
         with pytest.raises(KeyboardInterrupt):
             device.recv()
     assert_same_trajectory([device.recv()], trajectory(other, actions(1)))

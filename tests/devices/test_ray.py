@@ -22,7 +22,7 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl import get_spec, version
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.devices import BatchConfig, Device, Lockstep, Native, Ray, Rtl, cluster, cuda
+from pearl_marl.devices import BatchConfig, Device, Lockstep, Native, Phase, Ray, Rtl, cluster, cuda
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError, OrderError
 from pearl_marl.spec import EnvSpec
 from pearl_marl.testing import assert_same_step, assert_same_trajectory, trajectory
@@ -158,7 +158,7 @@ def test_copies(opened: Any) -> None:
     assert_same_trajectory(trajectory(other, ACTIONS[9:15]), trajectory(native, ACTIONS[9:15]))
     other.close()
     again = copy.deepcopy(Ray(["native"]))
-    assert not hasattr(again, "config")
+    assert again.phase is Phase.NEW
 
 
 class Meeting(Native):

@@ -19,6 +19,7 @@ import pytest
 import pearl_marl
 from pearl_marl.devices import BatchConfig, Native, Reference, make_device
 from pearl_marl.errors import DeviceError
+from pearl_marl.packing import observed_as
 from pearl_marl.spec import EnvSpec, Field
 
 from ..toy import LADDER, SLIDE, LadderState, with_state
@@ -66,6 +67,21 @@ with mock.patch.object(kernel_source, "kernel_source", side_effect=POISON), \\
 assert not [name for name in sys.modules if name.startswith("pearl_marl_kernel_")]
 """
     subprocess.run([sys.executable, "-c", program], check=True, cwd=tmp_path)
+
+
+@pytest.mark.parametrize("observations", ["whole", "packed"])
+@pytest.mark.parametrize("name", ["ConnectFour", "Overcooked", "Seaquest"])
+def test_no_generated_code_unpacks_planes(name: str, observations: str) -> None:
+    """Kernels are made of ``unpack`` as a function of words, which is generated: a mistake of it is seen."""
+    spec = observed_as(pearl_marl.get_spec(name), observations)
+    right = open_reference(spec, 5).step(np.full(5 * spec.agents, 1)).obs
+    broken = replace(spec, configure=None)
+    poison = mock.Mock(side_effect=AssertionError("generated code"))
+    broken.__dict__["positional"] = spec.positional._replace(unpack=poison)
+    np.testing.assert_array_equal(open_reference(broken, 5).step(np.full(5 * spec.agents, 1)).obs, right)
+    native = Native().open(BatchConfig(spec=spec, n_envs=5))
+    native.reset(seed=0)
+    np.testing.assert_array_equal(native.step(np.full(5 * spec.agents, 1)).obs, right)
 
 
 def test_it_shows_what_unpack_writes() -> None:

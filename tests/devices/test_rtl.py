@@ -19,7 +19,7 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl import cache, get_spec
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Lockstep, Native, Rtl, make_device
-from pearl_marl.devices.simulator import model_build, pyverilator_mends
+from pearl_marl.devices.simulator import model_build, pyverilator_model
 from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
 from pearl_marl.hardware import elaboration
@@ -103,7 +103,7 @@ def test_both_paths_give_the_same_words(pe_num: int, data_wl: int, monkeypatch: 
             device.step(actions)
             if t % 10 == 6:
                 device.reset(mask=mask)
-        a, b = (device._answer[:-8] for device in devices)
+        a, b = (device._protocol.answer[:-8] for device in devices)
         np.testing.assert_array_equal(a, b)
         assert devices[0].cycles == devices[1].cycles > 0
     np.testing.assert_array_equal(devices[0].snapshot().memory, devices[1].snapshot().memory)
@@ -190,7 +190,7 @@ def test_a_step_takes_its_bound_and_the_latency(env: str) -> None:
     case = Case(env, "rtl")
     device = case.open(device=case.device(path="axi"))
     device.reset(seed=0)
-    layout = device._layout
+    layout = device._protocol.layout
     words = [layout[region].words for region in ("actions", "observations", "rewards", "ters")]
     for actions in case.actions(3):
         device.step(actions)
@@ -376,7 +376,7 @@ def test_a_build_that_is_killed_leaves_nothing_behind(own_cache: Path) -> None:
     assert list(own_cache.glob("rtl/*.tmp"))
     assert not list(own_cache.glob("rtl/*/model.so"))
     built = model_build.library(Build.of(SPEC, 40, 40, 32))
-    assert pyverilator_mends.load(built).module_name == "pearl_top"
+    assert pyverilator_model.load(built).module_name == "pearl_top"
     assert not list(own_cache.glob("rtl/*.tmp"))
 
 

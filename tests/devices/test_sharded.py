@@ -12,7 +12,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import get_spec
-from pearl_marl.devices import BatchConfig, Device, Lockstep, Native, Sharded, make_device
+from pearl_marl.devices import BatchConfig, Device, Lockstep, Native, Phase, Sharded, make_device
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError
 from pearl_marl.testing import assert_same_trajectory, trajectory
 
@@ -181,4 +181,4 @@ def test_a_part_that_cannot_be_opened_closes_the_others(tmp_path: Any) -> None:
     first = Native()
     with pytest.raises(DeviceError, match="there is no board at"):
         opened(Sharded([first, f"xdma:{tmp_path}"]))
-    assert first._closed
+    assert first.phase is Phase.CLOSED

@@ -139,7 +139,7 @@ def test_every_world_goes_by_the_rules(device: Device, mode: AutoresetMode) -> N
                 assert (step.terminations[i], step.truncations[i]) == one["ends"], (tick, i)
                 assert step.obs[i].tolist() == one["obs"], (tick, i)
                 assert step.action_masks[i].tolist() == one["masks"], (tick, i)
-                assert step.alive[i] == device.alive[i] == one["alive"], (tick, i)
+                assert step.in_episode[i] == device.in_episode[i] == one["alive"], (tick, i)
                 if any(one["ends"]):
                     assert step.final_obs[i].tolist() == one["final"], (tick, i)
                 died += not one["alive"]
@@ -154,13 +154,13 @@ def test_a_restored_state_shows_what_was_seen_and_goes_on(device: Device, mode: 
     chance = np.random.default_rng(2)
     for _ in range(9):
         step = device.step(random_actions(device, chance))
-    assert not step.alive.all()
-    seen = [array.copy() for array in step.seen]
+    assert not step.in_episode.all()
+    seen = [array.copy() for array in step.observed]
     saved = SavedState.from_bytes(device.snapshot().to_bytes(), device.config)
     rows = [random_actions(device, chance) for _ in range(12)]
-    expected = [device.step(row).each(np.copy) for row in rows]
+    expected = [device.step(row).map(np.copy) for row in rows]
     again = Reference().open(device.config)
-    found = [again.restore(saved), again.action_masks, again.alive]
+    found = [again.restore(saved), again.action_masks, again.in_episode]
     for ours, theirs in zip(found, seen, strict=True):
         np.testing.assert_array_equal(ours, theirs)
     for row, one in zip(rows, expected, strict=True):
@@ -273,9 +273,9 @@ def test_a_device_that_recovers_knows_who_is_alive() -> None:
         actions = random_actions(device, chance)
         device.step(actions)
         twin.step(actions)
-    device.alive = np.ones_like(device.alive)
+    device.in_episode = np.ones_like(device.in_episode)
     device.recover()
-    np.testing.assert_array_equal(device.alive, twin.alive)
+    np.testing.assert_array_equal(device.in_episode, twin.in_episode)
     np.testing.assert_array_equal(device.action_masks, twin.action_masks)
     actions = random_actions(device, chance)
     assert_same(device.step(actions), twin.step(actions))
@@ -293,13 +293,13 @@ def assert_same(ours: BatchStep, theirs: BatchStep) -> None:
 def test_masked_resets_are_of_worlds(device: Device) -> None:
     open_device(device)
     chance = np.random.default_rng(3)
-    while device.alive.reshape(WORLDS, 4).all(1).any():
+    while device.in_episode.reshape(WORLDS, 4).all(1).any():
         device.step(random_actions(device, chance))
     mask = np.arange(WORLDS) % 2 == 0
-    dead = ~device.alive.reshape(WORLDS, 4)[~mask]
+    dead = ~device.in_episode.reshape(WORLDS, 4)[~mask]
     device.reset(mask=mask)
-    assert device.alive.reshape(WORLDS, 4)[mask].all()
-    assert (device.alive.reshape(WORLDS, 4)[~mask] == ~dead).all()
+    assert device.in_episode.reshape(WORLDS, 4)[mask].all()
+    assert (device.in_episode.reshape(WORLDS, 4)[~mask] == ~dead).all()
     with pytest.raises(ArgumentError, match=r"bool of shape \(17,\)"):
         device.reset(mask=np.ones(4 * WORLDS, np.bool_))
 

@@ -90,7 +90,7 @@ def test_options_are_checked(options: dict, says: str) -> None:
 def test_a_step_is_one_write_and_one_read(device: Xdma) -> None:
     """As the kernel counts them for this thread: one write, one read, and the four bytes of the event."""
     trajectory(device, ACTIONS[:5])
-    layout = device._layout
+    layout = device._protocol.layout
     steps = ACTIONS[5:]
 
     def counted() -> dict[str, int]:
@@ -110,7 +110,7 @@ def test_a_step_is_one_write_and_one_read(device: Xdma) -> None:
 
 
 def test_buffers_begin_on_a_page(device: Xdma) -> None:
-    for buffer in (device._written, device._answer):
+    for buffer in (device._protocol.written, device._protocol.answer):
         assert buffer.ctypes.data % os.sysconf("SC_PAGE_SIZE") == 0
         assert buffer.flags.writeable
 
@@ -147,12 +147,18 @@ def test_a_doorbell_that_rings_before_the_server_looks(tmp_path: Path, expected:
     server.close()
 
 
+def ring(device: Xdma, sequence: int) -> None:
+    """Begin a step that nobody waits for."""
+    protocol = device._protocol
+    protocol.doorbell[Doorbell.SEQUENCE] = sequence
+    protocol.transport.write(protocol.layout["reset_mask"].offset, protocol.written[:-8])
+
+
 def test_the_next_program_waits_for_a_step_under_way(tmp_path: Path, expected: list[Any]) -> None:
     """Which one left that was killed."""
     server = ServedBoard(tmp_path, SPEC, N, pe_num=3)
     killed = Xdma(tmp_path).open(CONFIG)
-    killed._doorbell[Doorbell.SEQUENCE] = 1
-    killed._transport.write(killed._write_base, killed._written[:-8])
+    ring(killed, 1)
     killed.close()
     thread = threading.Thread(target=server.serve)
     threading.Timer(0.1, thread.start).start()
@@ -420,7 +426,7 @@ def test_completion_on_the_hardware_itself(completion: str, monkeypatch: pytest.
     actions = ACTIONS[:, : N // 2].copy()
     monkeypatch.setattr(AxiLink, "reads", [])
     assert_same_trajectory(trajectory(device, actions), trajectory(native, actions))
-    whole = device._layout.step_read[1]
+    whole = device._protocol.layout.step_read[1]
     if completion == "event":
         assert AxiLink.reads == [whole] * len(actions)
     else:
@@ -435,11 +441,10 @@ def test_a_step_that_would_not_end_is_reset(monkeypatch: pytest.MonkeyPatch) -> 
     device, native = axi_pair("poll")
     actions = ACTIONS[:, : N // 2].copy()
     assert_same_trajectory(trajectory(device, actions[:7]), trajectory(native, actions[:7]))
-    device._doorbell[Doorbell.SEQUENCE] = 99
-    device._transport.write(device._write_base, device._written[:-8])
+    ring(device, 99)
     device.patience = 0
     device.reset(seed=0)
-    assert device._sequence == 0
+    assert device._protocol.sequence == 0
     native.reset(seed=0)
     assert_same_trajectory(trajectory(device, actions), trajectory(native, actions))
     device.close()
@@ -468,8 +473,8 @@ def test_hardware_that_was_reset_between_two_steps(monkeypatch: pytest.MonkeyPat
     device, native = axi_pair("event")
     actions = ACTIONS[:, : N // 2].copy()
     assert_same_trajectory(trajectory(device, actions[:30]), trajectory(native, actions[:30]))
-    device._transport.close()
-    device._transport._open()
+    device._protocol.transport.close()
+    device._protocol.transport._open()
     with pytest.raises(DeviceError, match=r"reports RESET: it was reset since the last call, and has lost"):
         device.step(actions[30])
     device.recover()

@@ -170,11 +170,11 @@ def test_sessions_run(page, block, tmp_path, pearl, monkeypatch):
 
 
 LONG = (
-    "pearl bench --all --n-agents 1024 --rounds 1 --seconds 0.01",  # each environment as one is, below
-    "pearl bench CliffWalking --n-agents 1024 --rounds 1 --seconds 0.01",  # the command's own tests do so
+    "pearl bench steps --all --n-agents 1024 --rounds 1 --seconds 0.01",  # each environment as one is, below
+    "pearl bench steps CliffWalking --n-agents 1024 --rounds 1 --seconds 0.01",  # its own tests do so
     "pearl synth CliffWalking --n-envs 16 --pe-num 4 --data-wl 32 --option is_slippery=true "
     "--part ecp5 --json",
-    "pearl bench LevelBasedForaging --training --quick",  # the benchmark's own tests do so
+    "pearl bench training LevelBasedForaging --quick",  # the benchmark's own tests do so
     "python -m pearl_marl.experiments.sb3_training CartPole --algo ppo --n-agents 256 --steps 20000 "
     "--every 8192 --out out/sb3",  # its own tests do so
     "python -m pearl_marl.experiments.sb3_training CartPole --algo ppo --n-agents 256 --steps 20000 "

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
+import pytest
 
-from pearl_marl.spec import Field
+from pearl_marl.spec import EnvSpec, Field
 
 Array = npt.NDArray[Any]
 
@@ -29,3 +31,12 @@ def worst(name: str, ours: Array, theirs: Array) -> float:
     error = float(np.abs(ours - theirs).max())
     print(f"{name}: {error:.2e} at worst of {len(ours):,}")
     return error
+
+
+def drawing(spec: EnvSpec, mode: str = "rgb_array") -> Any:
+    """Return Gymnasium's environment of the same name and options, which draws; skip where it cannot."""
+    pytest.importorskip("pygame", reason="Gymnasium draws with pygame")
+    assert spec.oracle is not None
+    env = gymnasium.make(spec.oracle, render_mode=mode, **spec.options)
+    env.reset(seed=0)
+    return env

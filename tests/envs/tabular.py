@@ -1,19 +1,16 @@
-"""What the tests of environments share.
-
-Statistics of an option are taken on the reference: a kernel takes longer to compile than that to step.
-"""
+"""What the tests of environments share whose oracle has a table ``P`` of all transitions."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from pearl_marl import EnvSpec
-from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import BatchStep
 from pearl_marl.devices import BatchConfig, Native
+from pearl_marl.porting.oracle import Outcome, Rules, compare
 
 Array = npt.NDArray[Any]
 
@@ -37,19 +34,28 @@ def table_of(oracle: Any) -> Table:
     return Table(probability, state.astype(int), reward, terminated.astype(bool))
 
 
-def step_from(spec: EnvSpec, fields: list[Array], actions: Array, seed: int = 0) -> BatchStep:
-    """Put slots into the states whose fields are given, and step them once."""
-    n = len(actions)
-    opened = Native().open(BatchConfig(spec=spec, n_envs=n))
-    opened.reset(seed=seed)
-    snapshot = opened.snapshot()
-    columns = SlotMemory(spec, n, snapshot.memory).columns
-    for k, values in enumerate(fields):
-        columns[spec.state[k].name][:] = values
-    opened.restore(snapshot)
-    step = opened.step(actions)
-    opened.close()
-    return step
+def table_oracle(
+    oracle: Any, number: Callable[[list[Array]], Array], outcome: Callable[[Array], Array]
+) -> Rules:
+    """Return a step by ``P``: of the number of a state, and of the outcome that draws decide on."""
+    table = table_of(oracle)
+
+    def step(state: list[Array], actions: Array, draws: Array) -> Outcome:
+        which = number(state), actions[:, 0], outcome(draws)
+        return Outcome(table.state[which], table.reward[which], table.terminated[which])
+
+    return Rules(step)
+
+
+def compare_draws(
+    spec: EnvSpec, oracle: Rules, words: list[Array], actions: Array, draws: Iterable[int]
+) -> None:
+    """Compare steps from all these states by each of these draws."""
+    for draw in draws:
+        n = len(actions)
+        drawn = np.full((n, spec.step_draws), draw)
+        for _ in compare(spec, oracle, n, state=words, actions=actions, draws=lambda *_, d=drawn: d):
+            pass
 
 
 def first_observations(spec: EnvSpec, n: int, seed: int) -> Array:
@@ -59,35 +65,21 @@ def first_observations(spec: EnvSpec, n: int, seed: int) -> Array:
     return observations
 
 
-def first_episodes(spec: EnvSpec, n: int, seed: int, policy: Any) -> tuple[Array, Array]:
-    """Return length and return of the first episode of ``n`` slots; ``policy(obs, generator)`` acts."""
-    opened = Native().open(BatchConfig(spec=spec, n_envs=n, copy=False))
-    observations = opened.reset(seed=seed)
-    generator = np.random.default_rng(seed + 1)
-    lengths, returns, running = np.zeros(n, int), np.zeros(n), np.ones(n, bool)
-    while running.any():
-        step = opened.step(policy(observations, generator))
-        lengths += running
-        returns += np.where(running, step.rewards, 0)
-        running &= ~step.ended
-        observations = step.obs
-    opened.close()
-    return lengths, returns
-
-
 def table_episodes(oracle: Any, n: int, seed: int, policy: Any, limit: int) -> tuple[Array, Array]:
     """Return the same of the oracle, whose ``step`` does nothing but draw from ``P``, all at once."""
     table = table_of(oracle)
     cumulated = table.probability.cumsum(axis=2)
     generator = np.random.default_rng(seed)
     states = generator.choice(len(cumulated), size=n, p=oracle.initial_state_distrib)
-    lengths, returns, running = np.zeros(n, int), np.zeros(n), np.ones(n, bool)
-    while running.any():
+    lengths, returns, running = np.zeros(n, int), np.zeros(n), np.arange(n)
+    for _ in range(limit):
         actions = policy(states, generator)
-        drawn = generator.random(n)[:, None]
+        drawn = generator.random(len(states))[:, None]
         which = (states, actions, (cumulated[states, actions] > drawn).argmax(axis=1))
-        lengths += running
-        returns += np.where(running, table.reward[which], 0)
-        running &= ~table.terminated[which] & (lengths < limit)
-        states = table.state[which]
+        lengths[running] += 1
+        returns[running] += table.reward[which]
+        goes_on = ~table.terminated[which]
+        states, running = table.state[which][goes_on], running[goes_on]
+        if not len(running):
+            break
     return lengths, returns

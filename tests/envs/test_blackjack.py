@@ -13,16 +13,17 @@ from gymnasium.envs.toy_text import blackjack
 from scipy import stats
 
 import pearl_marl
-from pearl_marl import rng
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference, u8, u32
+from pearl_marl.porting.oracle import Games, Outcome, compare
+from pearl_marl.testing import compare_pictures, compare_steps, first_episodes, step_from
+from pearl_marl.testing.oracles import random_actions_of
 
-from .tabular import first_episodes, step_from
+from .fixed import drawing
 
 RULES = [{"natural": natural, "sab": sab} for natural in (False, True) for sab in (False, True)]
 DECK = np.array(blackjack.deck)
 CHANCE = np.bincount(DECK, minlength=11) / 13
-REWARDS = np.array([-1, 0, 1, 1.5])
 
 
 def oracle(**options: Any) -> Any:
@@ -63,59 +64,65 @@ def test_most_cards_that_a_dealer_draws() -> None:
     assert max(longest(pair) for pair in itertools.combinations_with_replacement(range(1, 11), 2)) == 10
 
 
+class Dealt:
+    """Gymnasium's games, each dealt the cards that our draws stand for."""
+
+    def __init__(self, ours: pearl_marl.EnvSpec, n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.pile: list[int] = []
+        monkeypatch.setattr(blackjack, "draw_card", lambda _: self.pile.pop(0))
+        self.games = Games(
+            ours,
+            [oracle(**ours.options) for _ in range(n)],
+            self.pose,
+            self.step,
+            lambda gym: Outcome(gym._get_obs()),
+        )
+
+    def pose(self, gym: Any, state: Any) -> None:
+        # Three cards that add up to the total, or the two of a natural.
+        total = state.player
+        three = [1, 0, total - 11] if state.ace else [total - 2, 0, 2]
+        gym.player, gym.dealer = [1, 10] if state.natural else three, [state.showing, state.hidden]
+
+    def step(self, gym: Any, actions: list[int], draws: list[int]) -> Outcome:
+        self.pile[:] = cards_of(*draws, 60, 10)
+        seen, reward, terminated, _, _ = gym.step(actions[0])
+        return Outcome(seen, reward, terminated)
+
+
 @pytest.mark.parametrize("options", RULES, ids=str)
 def test_whole_episodes(options: dict[str, bool], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Deal the same cards to both and compare every step of 800 episodes, naturals often among them."""
-    generator, gym, ours = np.random.default_rng(3), oracle(**options), spec(**options).positional
-    pile: list[int] = []
-    monkeypatch.setattr(blackjack, "draw_card", lambda _: pile.pop(0))
-    seen: dict[float, int] = {}
-    for episode in range(800):
-        dealt = generator.choice(DECK, 4).tolist()
-        if episode % 4 == 0:
-            dealt[2:] = generator.permutation([1, 10]).tolist()
-        if episode % 12 == 0:
-            dealt[:2] = generator.permutation([1, 10]).tolist()
-        pile[:] = dealt
-        expected, _ = gym.reset()
-        state = call_reference(ours.initial, [u32(d) for d in draws_for(dealt, 32)])
-        ended = False
-        while not ended:
-            assert call_reference(ours.observe, state) == expected
-            # Small cards make dealers draw many.
-            drawn = generator.choice(DECK if episode % 3 else [1, 1, 1, 2, 6], 10).tolist()
-            pile[:] = drawn
-            action = int(generator.random() < 0.5)
-            expected, reward, ended, _, _ = gym.step(action)
-            *state, code, terminated = call_reference(
-                ours.step, [*state, u8(action), *map(u32, draws_for(drawn, 60))]
-            )
-            assert (REWARDS[code], terminated) == (reward, ended)
-            seen[reward] = seen.get(reward, 0) + 1
-        assert call_reference(ours.observe, state) == expected
-    assert set(seen) == ({-1, 0, 1, 1.5} if options["natural"] and not options["sab"] else {-1, 0, 1})
+    """The same cards for both, and every step of 800 episodes and more, naturals often among them."""
+    n, ours, seen, episodes = 50, spec(**options), set[float](), 0
+
+    def draws(generator: np.random.Generator, games: int, count: int) -> np.ndarray:
+        if count == 1:  # a deal
+            dealt = generator.choice(DECK, (games, 4))
+            dealt[::4, 2:] = 1, 10
+            dealt[::12, :2] = 1, 10
+            return np.array([draws_for(cards, 32) for cards in dealt.tolist()])
+        # Small cards make dealers draw many.
+        few = generator.choice([1, 1, 1, 2, 6], (games, 10))
+        drawn = np.where(generator.random((games, 1)) < 1 / 3, few, generator.choice(DECK, (games, 10)))
+        return np.array([draws_for(cards, 60) for cards in drawn.tolist()])
+
+    for move in compare(ours, Dealt(ours, n, monkeypatch).games, n, 32, draws=draws, seed=3):
+        seen |= set(move.outcome.rewards.ravel().tolist())
+        episodes += int(move.ended.sum())
+    assert episodes >= 800
+    assert seen == ({-1, 0, 1, 1.5} if options["natural"] and not options["sab"] else {-1, 0, 1})
 
 
 @pytest.mark.parametrize("options", RULES, ids=str)
-def test_native_step(options: dict[str, bool], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every hand there is, to hit and to stick, with cards known from the draws."""
+def test_every_hand(options: dict[str, bool], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every hand there is, to hit and to stick, on the CPU device, too."""
     hands = [(total, 0, False) for total in range(4, 22)] + [(total, 1, False) for total in range(12, 22)]
     hands.append((21, 1, True))
     cases = list(itertools.product(hands, range(1, 11), range(1, 11), range(2)))
     states = np.array([(*hand[:2], up, down, hand[2]) for hand, up, down, _ in cases])
     actions = np.array([action for *_, action in cases], np.uint8)
-    step = step_from(spec(**options), list(states.T), actions, seed=4)
-    high, low = (rng.draws(rng.seed_words(4), np.arange(len(cases)), 0, k).tolist() for k in (1, 2))
-    gym, pile = oracle(**options), list[int]()
-    monkeypatch.setattr(blackjack, "draw_card", lambda _: pile.pop(0))
-    arrived = step.arrivals()
-    for i, ((total, ace, natural), up, down, action) in enumerate(cases):
-        pile[:] = cards_of(high[i], low[i], 60, 10)
-        # Three cards that add up to the total, or the two of a natural.
-        gym.player = [1, 10] if natural else [1, 0, total - 11] if ace else [total - 2, 0, 2]
-        gym.dealer = [up, down]
-        expected, reward, terminated, _, _ = gym.step(action)
-        assert (tuple(arrived[i]), step.rewards[i], step.terminations[i]) == (expected, reward, terminated)
+    ours = spec(**options)
+    compare_steps(ours, Dealt(ours, len(cases), monkeypatch).games, list(states.T), actions, seed=4)
 
 
 def test_scalars_do_what_arrays_do() -> None:
@@ -171,10 +178,6 @@ def test_frequencies_of_cards() -> None:
     assert min(p_values.values()) > 0.001
 
 
-def policy(observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    return generator.integers(2, size=len(observations), dtype=np.uint8)
-
-
 @pytest.mark.parametrize("options", RULES, ids=str)
 def test_episodes_of_a_random_policy(options: dict[str, bool]) -> None:
     """Length and return of 20,000 episodes of each, by a chi-squared test of homogeneity."""
@@ -188,7 +191,7 @@ def test_episodes_of_a_random_policy(options: dict[str, bool]) -> None:
             _, reward, ended, _, _ = gym.step(int(generator.integers(2)))
             length += 1
         theirs[length, reward] = theirs.get((length, reward), 0) + 1
-    lengths, returns = first_episodes(spec(**options), n, 1, policy)
+    lengths, returns = first_episodes(spec(**options), n, 1, random_actions_of(spec()))
     kinds, counts = np.unique(np.array([lengths, returns]), axis=1, return_counts=True)
     ours = {(int(length), value): count for (length, value), count in zip(kinds.T, counts, strict=True)}
     common = [kind for kind in ours if ours[kind] + theirs.get(kind, 0) >= 20]
@@ -200,23 +203,18 @@ def test_episodes_of_a_random_policy(options: dict[str, bool]) -> None:
 
 
 def test_pictures_are_gymnasiums() -> None:
-    pytest.importorskip("pygame", reason="Gymnasium draws with pygame")
-    env = pearl_marl.parallel_env("Blackjack", 30, render_mode="rgb_array")
-    gym = gymnasium.make("Blackjack-v1", render_mode="rgb_array").unwrapped
-    env.reset(seed=0)
-    gym.reset(seed=0)
-    pictures = set()
-    for i in range(30):
-        player, ace, showing, hidden, _ = env.state()[i].astype(int).tolist()
-        gym.player, gym.dealer = ([1, player - 11] if ace else [player - 2, 2]), [showing, hidden]
+    """Of the first states of many episodes."""
+    env = drawing(spec())
+    gym = env.unwrapped
+
+    def drawn(state: Any) -> Any:
+        player, showing = state.player, state.showing
+        gym.player, gym.dealer = [1, player - 11] if state.ace else [player - 2, 2], [showing, state.hidden]
         gym.dealer_top_card_suit = "S"
         gym.dealer_top_card_value_str = {1: "A", 10: "K"}.get(showing, str(showing))
-        picture = env.render(f"agent_{i}")
-        np.testing.assert_array_equal(picture, gym.render())
-        pictures.add(np.asarray(picture).tobytes())
-    assert len(pictures) > 15
-    env.close()
-    gym.close()
+        return env.render()
+
+    compare_pictures(spec(), "rgb_array", drawn, [0] * 30, different=16)
 
 
 def test_options_are_gymnasiums() -> None:

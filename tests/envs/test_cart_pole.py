@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -13,10 +14,11 @@ from scipy import stats
 import pearl_marl
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.errors import ArgumentError
-from pearl_marl.golden import call_reference
+from pearl_marl.porting.oracle import Outcome, Rules, compare, one_by_one
+from pearl_marl.testing import assert_same_play, compare_pictures, compare_steps, first_episodes
+from pearl_marl.testing.oracles import random_actions_of
 
-from .fixed import Array, values, words, worst
-from .tabular import first_episodes, step_from
+from .fixed import Array, drawing, words
 
 SPEC = pearl_marl.get_spec("CartPole")
 TRACK, LEAN = 2.4, 12 * 2 * np.pi / 360
@@ -26,13 +28,17 @@ WORST = 1.1e-8
 """The greatest error of a component after one step that the README states."""
 
 
-def oracle_step(state: list[Array], action: Array, sutton_barto: bool = False) -> tuple[Array, Array, Array]:
-    """Return the oracle's float64 state, rewards and terminations, from states of any number."""
-    env = CartPoleVectorEnv(len(action), sutton_barto_reward=sutton_barto)
+def gymnasiums(state: list[Array], actions: Array, draws: Array, **options: bool) -> Outcome:
+    """Step Gymnasium's vector environment, which computes in float64, from states of ours."""
+    env = CartPoleVectorEnv(len(actions), **options)
     env.reset(seed=0)
     env.state = np.stack(state)
-    _, rewards, terminated, _, _ = env.step(action.astype(np.int64))
-    return env.state, rewards, terminated
+    _, rewards, terminated, _, _ = env.step(actions[:, 0].astype(np.int64))
+    position, _, angle, _ = env.state
+    # Nearer to a threshold than the error, either answer is right.
+    near = np.minimum(np.abs(np.abs(position) - TRACK), np.abs(np.abs(angle) - LEAN)) < WORST
+    after = {field.name: values for field, values in zip(SPEC.state, env.state, strict=True)}
+    return Outcome(env.state.T, rewards, terminated, state=after, undecided=near)
 
 
 def random_states(generator: np.random.Generator, n: int) -> list[Array]:
@@ -45,66 +51,48 @@ def random_states(generator: np.random.Generator, n: int) -> list[Array]:
     return state
 
 
-def test_spec_is_gymnasiums() -> None:
-    theirs = gymnasium.make("CartPole-v1")
-    assert theirs.observation_space == SPEC.observation_space
-    assert theirs.action_space == SPEC.action_space
-    assert theirs.spec is not None
-    assert theirs.spec.max_episode_steps == SPEC.max_cycles
-    assert theirs.metadata["render_modes"] == list(SPEC.render_modes)
-    assert theirs.metadata["render_fps"] == SPEC.render_fps
-
-
 @pytest.mark.parametrize("sutton_barto", [False, True])
 def test_step(sutton_barto: bool) -> None:
-    """100,000 states, one step each, on the CPU device: state, reward and end."""
-    n, generator = 100_000, np.random.default_rng(1)
-    spec = SPEC.with_options(sutton_barto_reward=sutton_barto)
-    state, actions = random_states(generator, n), generator.integers(2, size=n, dtype=np.uint8)
-    *after, _, _ = call_reference(spec.positional.step, [*state, actions])
-    start = [values(word, field) for word, field in zip(state, spec.state, strict=True)]
-    expected, rewards, terminated = oracle_step(start, actions, sutton_barto)
-    for field, ours, theirs in zip(spec.state, after, expected, strict=True):
-        assert worst(field.name, values(ours, field), theirs) < WORST
-
-    step = step_from(spec, state, actions)
-    obs = np.stack([values(word, f) for word, f in zip(after, spec.state, strict=True)], 1).astype(np.float32)
-    np.testing.assert_array_equal(step.arrivals(), obs)
-    # Nearer to a threshold than the error, either answer is right.
-    near = np.minimum(np.abs(np.abs(expected[0]) - TRACK), np.abs(np.abs(expected[2]) - LEAN)) < WORST
-    assert np.count_nonzero(near) < 20
-    assert 0.1 < terminated.mean() < 0.9
-    np.testing.assert_array_equal(step.terminations[~near], terminated[~near])
-    np.testing.assert_array_equal(step.rewards[~near], rewards[~near])
+    """100,000 states, one step each, and the CPU device, too: state, reward and end."""
+    options, generator = {"sutton_barto_reward": sutton_barto}, np.random.default_rng(1)
+    oracle = Rules(partial(gymnasiums, **options))
+    states = random_states(generator, 100_000)
+    move = compare_steps(SPEC.with_options(**options), oracle, states, tolerance=WORST)
+    assert np.count_nonzero(move.outcome.undecided) < 20
+    assert 0.1 < move.ended.mean() < 0.9
 
 
 def test_step_of_the_scalar_oracle() -> None:
     """Gymnasium has the equations twice: its plain environment, too, for some of these states."""
-    n, generator = 2_000, np.random.default_rng(2)
-    state, actions = random_states(generator, n), generator.integers(2, size=n, dtype=np.uint8)
-    *after, _, terminated = call_reference(SPEC.positional.step, [*state, actions])
-    ours = np.stack([values(word, field) for word, field in zip(after, SPEC.state, strict=True)], 1)
-    starts = np.stack([values(word, field) for word, field in zip(state, SPEC.state, strict=True)], 1)
     env: Any = gymnasium.make("CartPole-v1").unwrapped
     env.reset()
-    for i in range(n):
-        env.state, env.steps_beyond_terminated = starts[i], None
-        _, reward, ended, _, _ = env.step(int(actions[i]))
-        assert np.abs(env.state - ours[i]).max() < WORST
-        assert (reward, ended) == (1.0, terminated[i])
+
+    def step(state: Any, actions: list[int], draws: list[int]) -> Outcome:
+        env.state, env.steps_beyond_terminated = np.array(state), None
+        _, reward, ended, _, _ = env.step(actions[0])
+        return Outcome(env.state, reward, ended)
+
+    compare_steps(
+        SPEC, one_by_one(SPEC, step), random_states(np.random.default_rng(2), 2_000), tolerance=WORST
+    )
 
 
 def test_no_state_overflows() -> None:
     """From any word at all: sums stop at the ends of their range, and nothing else comes near its own."""
     n, generator = 50_000, np.random.default_rng(3)
-    state = [words(generator, f, f.low, f.high, n) for f in SPEC.state]
-    actions = generator.integers(2, size=n, dtype=np.uint8)
-    *after, _, _ = call_reference(SPEC.positional.step, [*state, actions])
-    expected, _, _ = oracle_step([values(w, f) for w, f in zip(state, SPEC.state, strict=True)], actions)
-    for field, ours, theirs in zip(SPEC.state, after, expected, strict=True):
-        assert np.count_nonzero(np.abs(theirs) > 16), "no state in the sample leaves the range"
-        # The angle is some 16 radians here, and its turns are rounded.
-        assert worst(field.name, values(ours, field), np.clip(theirs, field.low, field.high)) < 1e-7
+
+    def step(state: list[Array], actions: Array, draws: Array) -> Outcome:
+        after = gymnasiums(state, actions, draws).state
+        assert after is not None
+        for values in after.values():
+            assert np.count_nonzero(np.abs(values) > 16), "no state in the sample leaves the range"
+        ends = {field.name: (field.low, field.high) for field in SPEC.state}
+        return Outcome(state={name: np.clip(values, *ends[name]) for name, values in after.items()})
+
+    # The angle is some 16 radians here, and its turns are rounded.
+    compare_steps(
+        SPEC, Rules(step), [words(generator, f, f.low, f.high, n) for f in SPEC.state], tolerance=1e-7
+    )
 
 
 def test_episodes_stay_within_reach() -> None:
@@ -127,22 +115,8 @@ def test_episodes_stay_within_reach() -> None:
 
 def test_follows_the_oracle() -> None:
     """Whole runs with resets: at each step the oracle starts from where ours stands."""
-    n, generator = 64, np.random.default_rng(5)
-    env = pearl_marl.parallel_env("CartPole", n, max_cycles=30)
-    env.reset_batch(seed=3)
-    ends = 0
-    for t in range(200):
-        start, actions = env.state().T, generator.integers(2, size=n, dtype=np.uint8)
-        step = env.step_batch(actions)
-        expected, rewards, terminated = oracle_step(list(start), actions)
-        np.testing.assert_allclose(
-            step.arrivals(), expected.T, rtol=1e-7, atol=2 * WORST, err_msg=f"step {t}"
-        )
-        np.testing.assert_array_equal(step.terminations, terminated)
-        np.testing.assert_array_equal(step.rewards, rewards)
-        ends += int(step.ended.sum())
-    assert ends > 5 * n
-    env.close()
+    moves = compare(SPEC, Rules(gymnasiums), 64, 200, seed=5, posed=True, tolerance=WORST)
+    assert sum(int(move.ended.sum()) for move in moves) > 5 * 64
 
 
 def test_starts_are_uniform() -> None:
@@ -160,10 +134,8 @@ def test_starts_are_uniform() -> None:
 
 @pytest.mark.slow
 def test_episodes_of_a_random_policy() -> None:
-    """20,000 episodes of each: lengths have one distribution, by Kolmogorov and Smirnov."""
+    """20,000 episodes of each: lengths and returns have one distribution."""
     n = 20_000
-    ours, returns = first_episodes(SPEC, n, 11, lambda obs, g: g.integers(2, size=n, dtype=np.uint8))
-    np.testing.assert_array_equal(ours, returns)
     env, generator = CartPoleVectorEnv(n), np.random.default_rng(12)
     env.reset(seed=13)
     theirs, running = np.zeros(n, int), np.ones(n, bool)
@@ -171,27 +143,17 @@ def test_episodes_of_a_random_policy() -> None:
         _, _, terminated, truncated, _ = env.step(generator.integers(2, size=n))
         theirs += running
         running &= ~(terminated | truncated)
-    p = stats.ks_2samp(ours, theirs).pvalue
-    print(f"mean length {ours.mean():.2f} and {theirs.mean():.2f}, p = {p:.3f}")
-    assert p > 0.001
+    assert_same_play(first_episodes(SPEC, n, 11, random_actions_of(SPEC)), (theirs, theirs))
 
 
 def test_pictures_are_gymnasiums() -> None:
-    pytest.importorskip("pygame", reason="Gymnasium draws with pygame")
-    env = pearl_marl.parallel_env("CartPole", 2, render_mode="rgb_array")
-    gym: Any = gymnasium.make("CartPole-v1", render_mode="rgb_array")
-    env.reset(seed=0)
-    gym.reset(seed=0)
-    pictures = set()
-    for _ in range(8):
-        env.step([0, 1])
-        gym.unwrapped.state = env.state()[1]
-        picture = env.render("agent_1")
-        np.testing.assert_array_equal(picture, gym.render())
-        pictures.add(np.asarray(picture).tobytes())
-    assert len(pictures) > 4
-    env.close()
-    gym.close()
+    env: Any = drawing(SPEC)
+
+    def drawn(state: Any) -> Any:
+        env.unwrapped.state = np.array(state)
+        return env.render()
+
+    compare_pictures(SPEC, "rgb_array", drawn, [0, *[1] * 7], different=5)
 
 
 def test_bad_option() -> None:

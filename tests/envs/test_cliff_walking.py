@@ -11,15 +11,16 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from scipy import stats
 
 import pearl_marl
-from pearl_marl import rng
-from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.devices import BatchConfig, Native
-from pearl_marl.golden import call_reference, u8, u32
+from pearl_marl.golden import call_reference, u8
+from pearl_marl.porting.oracle import Rules
 from pearl_marl.rendering import HeatMap
+from pearl_marl.testing import assert_same_play, compare_pictures, compare_steps, first_episodes, step_from
+
+from .fixed import drawing
+from .tabular import compare_draws, table_episodes, table_oracle
 
 STATES, ACTIONS = 48, 4
 PAIRS = [(state, action) for state in range(STATES) for action in range(ACTIONS)]
-REWARDS = (-1, -100)
 THIRDS = (0, 2**32 // 3, 2 * 2**32 // 3 + 1)
 """The least draw of each of the three outcomes of the ice."""
 
@@ -32,26 +33,13 @@ def spec(slippery: bool = False) -> pearl_marl.EnvSpec:
     return pearl_marl.get_spec("CliffWalking").with_options(is_slippery=slippery)
 
 
-def golden_step(slippery: bool, state: int, action: int, *draw: int) -> tuple[int, float, bool]:
-    """Run the golden step on scalars; return Gymnasium's ``(state, reward, terminated)``."""
-    row, column = divmod(state, 12)
-    words = [u8(row), u8(column), u8(action), *map(u32, draw)]
-    row, column, code, terminated = call_reference(spec(slippery).positional.step, words)
-    return 12 * int(row) + int(column), REWARDS[code], bool(terminated)
+def table(slippery: bool) -> Rules:
+    """Return ``P``; of the ice, the outcome is the third that the draw is in."""
 
+    def third(draws: np.ndarray) -> np.ndarray:
+        return (draws.astype(object) * 3 >> 32).astype(int)[:, 0] if slippery else np.zeros(len(draws), int)
 
-def native_step(slippery: bool, states: np.ndarray, actions: np.ndarray, seed: int = 0) -> Any:
-    """Put slots into ``states``, step them once, and return ``(arrived, rewards, terminations)``."""
-    config = BatchConfig(spec=spec(slippery), n_envs=len(states))
-    device = Native().open(config)
-    device.reset(seed=seed)
-    snapshot = device.snapshot()
-    columns = SlotMemory(config.spec, len(states), snapshot.memory).columns
-    columns["row"][:], columns["column"][:] = np.divmod(states, 12)
-    np.testing.assert_array_equal(device.restore(snapshot), states)
-    step = device.step(actions)
-    device.close()
-    return step.arrivals(), step.rewards, step.terminations
+    return table_oracle(oracle(slippery), lambda state: 12 * state[0] + state[1], third)
 
 
 def test_start() -> None:
@@ -59,23 +47,14 @@ def test_start() -> None:
     assert oracle().initial_state_distrib.argmax() == 36
 
 
-@pytest.mark.parametrize(("state", "action"), PAIRS)
-def test_golden_step(state: int, action: int) -> None:
-    ((probability, *outcome),) = oracle().P[state][action]
-    assert probability == 1
-    assert golden_step(False, state, action) == tuple(outcome)
-
-
-def test_golden_step_on_ice() -> None:
+def test_every_step_on_ice() -> None:
     """Every state, action and outcome; each outcome at both ends of its third of the draws."""
-    table = oracle(slippery=True).P
-    for state, action in PAIRS:
-        for k, (_, *outcome) in enumerate(table[state][action]):
-            last = (*THIRDS[1:], 2**32)[k] - 1
-            for draw in (THIRDS[k], THIRDS[k] + 1, last - 1, last):
-                if k and draw == THIRDS[k]:
-                    draw += 1  # the border itself may fall to either side: 2**32 is no multiple of 3
-                assert golden_step(True, state, action, draw) == tuple(outcome), (state, action, draw)
+    for k, first in enumerate(THIRDS):
+        last = (*THIRDS[1:], 2**32)[k] - 1
+        # The border itself may fall to either side: 2**32 is no multiple of 3.
+        draws = (first + (k > 0), first + 1, last - 1, last)
+        states, actions = np.array(PAIRS).T
+        compare_draws(spec(True), table(True), list(np.divmod(states, 12)), actions, draws)
 
 
 def test_observation() -> None:
@@ -83,28 +62,17 @@ def test_observation() -> None:
         assert call_reference(spec().positional.observe, map(u8, divmod(state, 12))) == (state,)
 
 
-def test_native_step() -> None:
-    """All pairs at once, many times over, so that SIMD lanes and loop remainders both take part."""
-    states, actions = np.tile(np.array(PAIRS, np.uint8), (11, 1)).T
-    table = oracle().P
-    expected = [table[s][a][0][1:] for s, a in zip(states.tolist(), actions.tolist(), strict=True)]
+@pytest.mark.parametrize(("slippery", "times"), [(False, 11), (True, 60)])
+def test_every_step(slippery: bool, times: int) -> None:
+    """Every state and action many times, on the CPU device, too: SIMD lanes and loop remainders take part."""
+    states, actions = np.tile(np.array(PAIRS), (times, 1)).T
     for part in (slice(None), slice(0, 192), slice(0, 2101), slice(0, 1)):
-        arrived, rewards, terminations = native_step(False, states[part], actions[part].copy())
-        got = list(zip(arrived.tolist(), rewards.tolist(), terminations.tolist(), strict=True))
-        assert got == expected[part]
-
-
-def test_native_step_on_ice() -> None:
-    """Every pair under every outcome: the draws are known, so each slot's outcome is exact."""
-    states, actions = np.repeat(np.array(PAIRS, np.uint8), 60, axis=0).T
-    draws = rng.draws(rng.seed_words(5), np.arange(len(states)), tick=0, index=0)
-    outcomes = (draws.astype(object) * 3 >> 32).astype(int)
-    triples = set(zip(states.tolist(), actions.tolist(), outcomes.tolist(), strict=True))
-    assert len(triples) == STATES * ACTIONS * 3, "some outcome of some pair is not in the sample"
-    table = oracle(slippery=True).P
-    arrived, rewards, terminations = native_step(True, states, actions.copy(), seed=5)
-    for i, (state, action, k) in enumerate(zip(states.tolist(), actions.tolist(), outcomes, strict=True)):
-        assert (arrived[i], rewards[i], terminations[i]) == table[state][action][k][1:]
+        words = list(np.divmod(states[part], 12))
+        move = compare_steps(spec(slippery), table(slippery), words, actions[part], seed=5)
+        if slippery and part == slice(None):
+            outcomes = move.draws[:, 0].astype(object) * 3 >> 32
+            triples = set(zip(states.tolist(), actions.tolist(), outcomes.tolist(), strict=True))
+            assert len(triples) == STATES * ACTIONS * 3, "some outcome of some pair is not in the sample"
 
 
 def test_slip_frequencies() -> None:
@@ -112,7 +80,8 @@ def test_slip_frequencies() -> None:
     n, start = 30_000, 17
     counts = np.zeros(STATES, int)
     for action in range(ACTIONS):
-        arrived, _, _ = native_step(True, np.full(n, start), np.full(n, action, np.uint8), seed=action)
+        words = [np.full(n, word) for word in divmod(start, 12)]
+        arrived = step_from(spec(True), words, np.full(n, action, np.uint8), seed=action).arrivals()
         cells, seen = np.unique(arrived, return_counts=True)
         assert set(cells) == {new for _, new, _, _ in oracle(True).P[start][action]}
         assert stats.chisquare(seen).pvalue > 0.001
@@ -175,39 +144,6 @@ def test_vector_env_equals_gymnasiums(mode: AutoresetMode, limit: int | None) ->
     theirs.close()
 
 
-def episodes_of_ours(n: int, seed: int, choices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the length and return of the first episode of ``n`` agents under the random policy."""
-    env = pearl_marl.parallel_env("CliffWalking", n, copy=False)
-    env.reset_batch(seed=0)
-    generator = np.random.default_rng(seed)
-    lengths, returns = np.zeros(n, int), np.zeros(n)
-    running = np.ones(n, bool)
-    while running.any():
-        step = env.step_batch(choices[generator.integers(len(choices), size=n)])
-        lengths += running
-        returns += np.where(running, step.rewards, 0)
-        running &= ~step.ended
-    env.close()
-    return lengths, returns
-
-
-def episodes_of_gymnasiums(n: int, seed: int, choices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same from Gymnasium's ``P`` table, stepped with NumPy for all episodes at once.
-
-    ``env.step`` itself takes minutes for this many episodes; it does nothing but look into ``P``.
-    """
-    table = np.array([[oracle().P[s][a][0][1:] for a in range(ACTIONS)] for s in range(STATES)])
-    generator = np.random.default_rng(seed)
-    states, where = np.full(n, 36), np.arange(n)
-    lengths, returns = np.zeros(n, int), np.zeros(n)
-    while len(where):
-        new, rewards, terminated = table[states, choices[generator.integers(len(choices), size=len(where))]].T
-        lengths[where] += 1
-        returns[where] += rewards
-        states, where = new[terminated == 0].astype(int), where[terminated == 0]
-    return lengths, returns
-
-
 @pytest.mark.parametrize(
     ("choices", "n"),
     [
@@ -218,32 +154,24 @@ def episodes_of_gymnasiums(n: int, seed: int, choices: np.ndarray) -> tuple[np.n
 )
 def test_episodes_of_a_random_policy(choices: list[int], n: int) -> None:
     """Lengths and returns have one distribution, by Kolmogorov and Smirnov."""
-    weighted = np.array(choices, np.uint8)
-    ours, theirs = episodes_of_ours(n, 1, weighted), episodes_of_gymnasiums(n, 2, weighted)
-    for mine, other in zip(ours, theirs, strict=True):
-        assert stats.ks_2samp(mine, other).pvalue > 0.001
+
+    def weighted(observations: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+        return np.array(choices, np.uint8)[generator.integers(len(choices), size=len(observations))]
+
+    theirs = table_episodes(oracle(), n, 2, weighted, limit=10**6)
+    assert_same_play(first_episodes(spec(), n, 1, weighted), theirs)
 
 
 @pytest.mark.parametrize("mode", ["ansi", "rgb_array"])
 def test_pictures_are_gymnasiums(mode: str) -> None:
-    pytest.importorskip("pygame", reason="Gymnasium draws with pygame")
-    env = pearl_marl.parallel_env("CliffWalking", 2, render_mode=mode)
-    gym = gymnasium.make("CliffWalking-v1", render_mode=mode)
-    env.reset(seed=0)
-    gym.reset(seed=0)
-    np.testing.assert_array_equal(env.render(), gym.render())
-    pictures = set()
-    # agent_1 walks the shortest path; agent_0 stands in its corner.
-    for action in [0, *[1] * 11]:
-        obs, *_ = env.step([3, action])
-        gym.unwrapped.s, gym.unwrapped.lastaction = int(obs["agent_1"]), None
-        picture = env.render("agent_1")
-        np.testing.assert_array_equal(picture, gym.render())
-        pictures.add(np.asarray(picture).tobytes())
-        assert env.render() is not None
-    assert len(pictures) == 12
-    env.close()
-    gym.close()
+    env = drawing(spec(), mode)
+
+    def drawn(state: Any) -> Any:
+        env.unwrapped.s, env.unwrapped.lastaction = 12 * state.row + state.column, None
+        return env.render()
+
+    # The shortest path.
+    compare_pictures(spec(), mode, drawn, [0, *[1] * 11], different=12)
 
 
 def test_heat_map_counts_arrivals(tmp_path: Any) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from typing import Any, NamedTuple
+from collections import Counter
+from typing import Any
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
 
@@ -13,120 +14,54 @@ from pettingzoo.classic.connect_four import connect_four
 
 import pearl_marl
 from pearl_marl.envs.connect_four.step import CELLS, COLUMNS, has_four
-from pearl_marl.golden import call_reference, reference
-from pearl_marl.rendering import renderer
+from pearl_marl.golden import call_reference
+from pearl_marl.porting.oracle import Games, Ours, Outcome, compare
+from pearl_marl.testing import compare_pictures
 
 Array = np.ndarray[Any, Any]
-initial, step, observe, masks = pearl_marl.get_spec("ConnectFour").positional[:4]
+SPEC = pearl_marl.get_spec("ConnectFour")
+initial, step = SPEC.positional[:2]
 PLAYERS = ("player_0", "player_1")
-MASKS = 2
-"""Where the masks of both stand in a record of a move."""
 
 
-class Games(NamedTuple):
-    """What PettingZoo makes of games: by move and game, and of each player."""
-
-    actions: Array
-    played: Array
-    observations: Array
-    masks: Array
-    rewards: Array
-    ends: Array
-
-
-def played_by_pettingzoo(moves: int, seed: int) -> Games:
-    """Play games of random legal moves to their ends, as many as make so many moves.
-
-    What is observed before the first move stands before the first move's row.
-    """
-    oracle, generator = connect_four.raw_env(), np.random.default_rng(seed)
-    most, chances = CELLS, generator.random((moves, CELLS))
-    games: list[list[tuple[Any, ...]]] = []
-    left = moves
-    while left > 0:
-        oracle.reset()
-        game = [(0, *_seen(oracle))]
-        for chance in chances[len(games)]:
-            legal = np.flatnonzero(game[-1][MASKS].any(0))
-            action = int(legal[int(chance * len(legal))])
-            oracle.step(action)
-            game.append((action, *_seen(oracle)))
-            if oracle.terminations["player_0"]:
-                break
-        games.append(game)
-        left -= len(game) - 1
-    blank = games[0][0]
-    padded = [game + [blank] * (most + 1 - len(game)) for game in games]
-    columns = [
-        np.array([[row[k] for row in game] for game in padded]).swapaxes(0, 1) for k in range(len(blank))
-    ]
-    actions, observations, legal, rewards, ends = columns
-    lengths = np.array([len(game) - 1 for game in games])
-    return Games(actions[1:], np.arange(most)[:, None] < lengths, observations, legal, rewards, ends)
-
-
-def _seen(oracle: Any) -> tuple[Any, ...]:
-    views = [oracle.observe(player) for player in PLAYERS]
-    return (
-        np.array([view["observation"] for view in views]),
-        np.array([view["action_mask"] for view in views]),
-        [oracle.rewards[player] for player in PLAYERS],
-        [oracle.terminations[player] for player in PLAYERS],
+def seen(game: Any) -> Outcome:
+    """Return what PettingZoo's game shows both players."""
+    views = [game.observe(player) for player in PLAYERS]
+    return Outcome(
+        [view["observation"] for view in views],
+        [game.rewards[player] for player in PLAYERS],
+        [game.terminations[player] for player in PLAYERS],
+        masks=[view["action_mask"] for view in views],
     )
 
 
-def unpacked(boards: tuple[Array, ...]) -> Array:
-    """Return PettingZoo's planes of an observation."""
-    planes = [np.asarray(board)[:, None] >> np.arange(CELLS) & 1 for board in boards]
-    return np.stack(planes, -1).reshape(-1, 6, 7, 2)
+def move(game: Any, actions: list[int], draws: list[int]) -> Outcome:
+    """Move by the action of whose turn it is."""
+    game.step(actions[PLAYERS.index(game.agent_selection)])
+    return seen(game)
 
 
-def test_observations_are_unpacked() -> None:
-    spec = pearl_marl.get_spec("ConnectFour")
-    assert spec.positional.unpack is not None
-    boards = np.random.default_rng(0).integers(1 << CELLS, size=(2, 50))
-    rows = np.empty((50, 84), np.int8)
-    for own, other, row in zip(*boards, rows, strict=True):
-        spec.positional.unpack(own, other, row)
-    np.testing.assert_array_equal(rows.reshape(-1, 6, 7, 2), unpacked(tuple(boards)))
+def begin(game: Any, state: Any) -> None:
+    assert not any(state.boards), "a game begins on an empty board"
+    game.reset()
 
 
-def compare(moves: int, seed: int) -> Games:
-    """Replay PettingZoo's games, all at once, and compare what can be seen after every move."""
-    games = played_by_pettingzoo(moves, seed)
-    n, observers, judges = (
-        games.actions.shape[1],
-        *([reference(f, k) for k in range(2)] for f in (observe, masks)),
-    )
-    state = [np.full(n, word) for word in call_reference(initial, ())]
-    generator = np.random.default_rng(seed + 1)
-    for t in range(CELLS + 1):
-        now = np.ones(n, bool) if t == 0 else games.played[t - 1]
-        for agent in range(2):
-            seen = unpacked(observers[agent](*state))
-            np.testing.assert_array_equal(seen[now], games.observations[t, now, agent])
-            legal = np.stack(judges[agent](*state), 1)
-            np.testing.assert_array_equal(legal[now], games.masks[t, now, agent])
-        if t == CELLS:
-            break
-        actions = generator.integers(8, size=(2, n))  # of who is not on turn, anything
-        actions[t % 2] = games.actions[t]
-        *state, reward_0, reward_1, over_0, over_1 = call_reference(step, [*state, *actions])
-        now = games.played[t]
-        np.testing.assert_array_equal(np.stack([reward_0, reward_1], 1)[now], games.rewards[t + 1, now])
-        np.testing.assert_array_equal(np.stack([over_0, over_1], 1)[now], games.ends[t + 1, now])
-    return games
+def legal(ours: Ours, generator: np.random.Generator) -> Array:
+    """Choose any legal move of whose turn it is; and anything for the other player."""
+    masks = ours.masks()
+    chances = generator.random(masks.shape) * masks
+    return np.where(masks.any(2), chances.argmax(2), generator.integers(COLUMNS, size=masks.shape[:2]))
 
 
 @pytest.mark.parametrize("moves", [25_000, pytest.param(100_000, marks=pytest.mark.exhaustive)])
 def test_moves(moves: int) -> None:
-    games = compare(moves, seed=moves)
-    last = games.played.sum(0)
-    rewards = games.rewards[last, np.arange(len(last)), 0]
-    counts = [int((rewards == reward).sum()) for reward in (1, -1, 0)]
-    print("{:,} moves; the first won {}, lost {}, drew {}".format(games.played.sum(), *counts))
-    assert games.played.sum() >= moves
-    assert min(counts) >= 2
+    """Random games to their ends: observations, masks, rewards and ends after every move."""
+    n, counts = 100, Counter[float]()
+    games = Games(SPEC, [connect_four.raw_env() for _ in range(n)], begin, move, seen)
+    for made in compare(SPEC, games, n, moves // n, actions=legal, seed=7):
+        counts.update(made.outcome.rewards[made.ended, 0].tolist())
+    print(f"{moves:,} moves; the first won {counts[1]}, lost {counts[-1]}, drew {counts[0]}")
+    assert min(counts[reward] for reward in (1, -1, 0)) >= 2
 
 
 def test_where_four_are_in_a_row() -> None:
@@ -165,11 +100,11 @@ def test_an_illegal_move_ends_the_game_as_in_pettingzoo(mover: int) -> None:
 
 
 def test_pictures_are_pettingzoos() -> None:
-    oracle, state = connect_four.raw_env(render_mode="rgb_array"), call_reference(initial, ())
-    oracle.reset()
-    drawn = renderer(pearl_marl.get_spec("ConnectFour"), "rgb_array")
-    for action in (3, 3, 2, 6, 0):
-        oracle.step(action)
-        *state, _, _, _, _ = call_reference(step, [*state, action, action])
-    np.testing.assert_array_equal(drawn.render(np.array(state)), oracle.render())
-    drawn.close()
+    game, taken = connect_four.raw_env(render_mode="rgb_array"), [3, 3, 2, 6, 0]
+    game.reset()
+
+    def drawn(state: Any) -> Any:
+        game.step(taken.pop(0))
+        return game.render()
+
+    compare_pictures(SPEC, "rgb_array", drawn, [[action, action] for action in taken], different=5)

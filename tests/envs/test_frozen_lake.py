@@ -16,12 +16,14 @@ from hypothesis import strategies as st
 from scipy import stats
 
 import pearl_marl
-from pearl_marl import rng
 from pearl_marl.errors import ArgumentError, SavedStateError
 from pearl_marl.golden import call_reference, u8, u32
+from pearl_marl.porting.oracle import Rules
 from pearl_marl.rendering import HeatMap
+from pearl_marl.testing import compare_pictures, compare_steps, first_episodes, step_from
 
-from .tabular import first_episodes, first_observations, step_from, table_of
+from .fixed import drawing
+from .tabular import compare_draws, first_observations, table_of, table_oracle
 
 ACTIONS = 4
 THREE_STARTS = ["SFHSFGS", "GHSFFFF", "FSFHFHS"]
@@ -63,31 +65,31 @@ def outcome_draws(ours: pearl_marl.EnvSpec) -> list[tuple[int, int]]:
     return [(first, after - 1) for first, after in itertools.pairwise(edges)]
 
 
+def table(gym: Any, ours: pearl_marl.EnvSpec) -> Rules:
+    """Return ``P``, of which the draw decides on the turn of the ice."""
+    several = table_of(gym).probability.shape[2] > 1
+
+    def outcome(draws: np.ndarray) -> np.ndarray:
+        if ours.step_draws:
+            return np.searchsorted([last for _, last in outcome_draws(ours)], draws[:, 0])
+        return np.full(len(draws), int(several))
+
+    return table_oracle(gym, lambda state: gym.ncol * state[0].astype(int) + state[1], outcome)
+
+
 def check_every_transition(options: dict[str, Any]) -> int:
     """Compare every state, action and outcome with ``P``; return how many outcomes that were."""
     gym, ours = oracle(**options), spec(**options)
-    table, (states, actions) = table_of(gym), pairs(gym)
-    words = [*np.divmod(states, gym.ncol), actions]
-    compared = 0
-    for k in range(table.probability.shape[2]):
-        possible = table.probability[states, actions, k] > 2**-32
-        assert (possible == possible[0]).all()
-        if not possible[0]:
-            continue
-        draws: tuple[int, ...] = (0,)
-        if ours.step_draws:
-            draws = outcome_draws(ours)[k]
-            share = (draws[1] - draws[0] + 1) / 2**32
-            assert abs(share - table.probability[states[0], actions[0], k]) <= 2**-32
-        for draw in draws:
-            drawn = [np.full(len(states), draw, np.uint32)][: ours.step_draws]
-            row, column, code, terminated = call_reference(ours.positional.step, [*map(u8, words), *drawn])
-            np.testing.assert_array_equal(gym.ncol * row + column, table.state[states, actions, k])
-            assert ours.rewards is not None
-            np.testing.assert_array_equal(np.array(ours.rewards)[code], table.reward[states, actions, k])
-            np.testing.assert_array_equal(terminated, table.terminated[states, actions, k])
-            compared += len(states)
-    return compared
+    probability, (states, actions) = table_of(gym).probability, pairs(gym)
+    draws = [0]
+    if ours.step_draws:
+        draws = []
+        for k, ends in enumerate(outcome_draws(ours)):
+            share = (ends[1] - ends[0] + 1) / 2**32
+            assert np.abs(share - probability[states, actions, k]).max() <= 2**-32
+            draws += ends if (probability[states, actions, k] > 2**-32).all() else ()
+    compare_draws(ours, table(gym, ours), list(np.divmod(states, gym.ncol)), actions, draws)
+    return len(draws) * len(states)
 
 
 @pytest.mark.parametrize("options", LAKES, ids=str)
@@ -147,22 +149,14 @@ def test_distribution_of_starts() -> None:
 
 
 @pytest.mark.parametrize("options", [LAKES[k] for k in (0, 2, 5, 7, 8)], ids=str)
-def test_native_step(options: dict[str, Any]) -> None:
-    """Every pair many times over, with draws that are known, so that each slot's outcome is exact."""
+def test_many_steps(options: dict[str, Any]) -> None:
+    """Every pair many times over, on the CPU device, too."""
     gym, ours = oracle(**options), spec(**options)
-    table = table_of(gym)
     states, actions = (np.resize(part, 2048 * 2 + 101) for part in pairs(gym))
-    outcomes = np.zeros(len(states), int)
+    move = compare_steps(ours, table(gym, ours), list(np.divmod(states, gym.ncol)), actions, seed=5)
     if ours.step_draws:
-        draws = rng.draws(rng.seed_words(5), np.arange(len(states)), tick=0, index=ours.reset_draws)
-        outcomes = np.searchsorted([last for _, last in outcome_draws(ours)], draws)
-        assert len(np.unique(outcomes)) == (table.probability[states[0], 0] > 2**-32).sum()
-    elif table.probability.shape[2] > 1:
-        outcomes[:] = 1
-    step = step_from(ours, list(np.divmod(states, gym.ncol)), actions.astype(np.uint8), seed=5)
-    np.testing.assert_array_equal(step.arrivals(), table.state[states, actions, outcomes])
-    np.testing.assert_array_equal(step.rewards, np.float32(table.reward[states, actions, outcomes]))
-    np.testing.assert_array_equal(step.terminations, table.terminated[states, actions, outcomes])
+        outcomes = np.searchsorted([last for _, last in outcome_draws(ours)], move.draws[:, 0])
+        assert len(np.unique(outcomes)) == (table_of(gym).probability[states[0], 0] > 2**-32).sum()
 
 
 @pytest.mark.parametrize("success_rate", [1 / 3, 0.8])
@@ -256,21 +250,13 @@ def test_episodes_of_a_random_policy(options: dict[str, Any]) -> None:
 @pytest.mark.parametrize("options", [{}, {"map_name": "8x8"}, {"desc": ["SHG", "FFF"]}], ids=str)
 @pytest.mark.parametrize("mode", ["ansi", "rgb_array"])
 def test_pictures_are_gymnasiums(mode: str, options: dict[str, Any]) -> None:
-    pytest.importorskip("pygame", reason="Gymnasium draws with pygame")
-    env = pearl_marl.parallel_env("FrozenLake", 2, render_mode=mode, device="reference", **options)
-    gym = gymnasium.make("FrozenLake-v1", render_mode=mode, **options)
-    env.reset(seed=0)
-    gym.reset(seed=0)
-    pictures = set()
-    for _ in range(20):
-        obs, *_ = env.step([1, 2])
-        gym.unwrapped.s, gym.unwrapped.lastaction = int(obs["agent_1"]), None
-        picture = env.render("agent_1")
-        np.testing.assert_array_equal(picture, gym.render())
-        pictures.add(np.asarray(picture).tobytes())
-    assert len(pictures) >= 3
-    env.close()
-    gym.close()
+    env = drawing(spec(**options), mode)
+
+    def drawn(state: Any) -> Any:
+        env.unwrapped.s, env.unwrapped.lastaction = env.unwrapped.ncol * state.row + state.column, None
+        return env.render()
+
+    compare_pictures(spec(**options), mode, drawn, [1, *[2] * 19], different=3, device="reference")
 
 
 def test_heat_map_counts_arrivals() -> None:
@@ -328,7 +314,7 @@ def test_saved_states_know_their_map() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"map_name": "5x5"}, "map_name is '5x5'; it must be '4x4' or '8x8'"),
+        ({"map_name": "5x5"}, "map_name is '5x5'; possible are '4x4' and '8x8'; or give a map of your own"),
         ({"map_name": None}, "map_name is None.*generate_random_map"),
         ({"map_name": ["4x4"]}, "map_name is"),
         ({"desc": "SFFG"}, "desc is 'SFFG'; it must be a list of strings"),
@@ -344,7 +330,7 @@ def test_saved_states_know_their_map() -> None:
         ({"desc": ["sFF", "FFG"]}, "the letter 's'"),
         ({"desc": ["FFF", "FFG"]}, "desc has no S; put one where episodes are to start"),
         ({"is_slippery": 1}, "is_slippery is 1; it must be True or False"),
-        ({"success_rate": 1.5}, "success_rate is 1.5; it must be a probability, 0 to 1"),
+        ({"success_rate": 1.5}, "success_rate is 1.5; it must be a number from 0 to 1"),
         ({"success_rate": -0.1}, "success_rate is -0.1"),
         ({"success_rate": float("nan")}, "success_rate is nan"),
         ({"success_rate": True}, "success_rate is True"),

@@ -16,7 +16,8 @@ from pearl_marl import EnvSpec
 from pearl_marl.envs.level_based_foraging.picture import CELL, FOOD, PLAYER
 from pearl_marl.envs.level_based_foraging.step import chosen, ones
 from pearl_marl.errors import ArgumentError
-from pearl_marl.golden import call_reference, reference
+from pearl_marl.golden import call_reference
+from pearl_marl.porting.oracle import Games, Ours, Outcome, compare
 
 Array = np.ndarray[Any, Any]
 STANDARD = {
@@ -72,6 +73,10 @@ def started(spec: EnvSpec, n: int, seed: int) -> list[Array]:
     return list(call_reference(spec.positional.initial, draws))
 
 
+AHEAD = (0, 0), (-1, 0), (1, 0), (0, -1), (0, 1), (0, 0)
+"""Where an action leads."""
+
+
 def things(spec: EnvSpec, state: list[Array]) -> tuple[Array, Array]:
     """Return row, column and level of the players and of the foods, of shape ``(n, players or foods, 3)``."""
     count = 3 * (spec.agents + spec.options["max_num_food"])
@@ -79,94 +84,72 @@ def things(spec: EnvSpec, state: list[Array]) -> tuple[Array, Array]:
     return every[:, : spec.agents], every[:, spec.agents :]
 
 
-def put(oracle: ForagingEnv, players: Array, foods: Array) -> None:
+def put(oracle: ForagingEnv, state: Any) -> None:
     """Start the package's game where ours starts."""
     oracle.field = np.zeros(oracle.field_size, np.int32)
-    for player, (row, column, level) in zip(oracle.players, players.tolist(), strict=True):
+    for player, (row, column, level) in zip(oracle.players, state.players, strict=True):
         player.setup((row, column), level, oracle.field_size)
         player.reward = 0
-    for row, column, level in foods[foods[:, 2] > 0]:
-        oracle.field[row, column] = level
+    for row, column, level in state.foods:
+        if level:
+            oracle.field[row, column] = level
     oracle._food_spawned = oracle.field.sum()
     oracle.current_step, oracle._game_over = 0, False
     oracle._gen_valid_moves()
 
 
-def masks_of(oracle: ForagingEnv) -> list[list[bool]]:
+def look(oracle: ForagingEnv) -> Outcome:
+    """Return observations and masks of the package's game."""
     every = [{action.value for action in oracle._valid_actions[player]} for player in oracle.players]
-    return [[action in valid for action in range(6)] for valid in every]
+    masks = [[action in valid for action in range(6)] for valid in every]
+    return Outcome(oracle._make_gym_obs(), masks=masks)
 
 
-def each_agent(function: Any, spec: EnvSpec) -> Any:
-    """Return what calls a golden function of an agent for all of them; results are ``(n, agents, words)``."""
-    runs = [reference(function, *agent) for agent in spec.views]
-
-    def run(state: list[Array]) -> Array:
-        rows = [np.broadcast_arrays(*run(*state), state[0])[:-1] for run in runs]
-        return np.stack([np.stack(row, 1) for row in rows], 1)
-
-    return run
-
-
-def compare(given: dict[str, Any], n: int, seed: int) -> Counter[str]:
-    """Play whole episodes, all of ours at once, and compare everything after every step."""
-    spec, limit, generator = spec_of(given), given["max_episode_steps"], np.random.default_rng(seed)
-    oracles = [ForagingEnv(**given) for _ in range(n)]
-    state, table = started(spec, n, seed), np.array(spec.rewards)
-    players, foods = things(spec, state)
-    for oracle, *start in zip(oracles, players, foods, strict=True):
-        put(oracle, *start)
-    observe, masks = each_agent(spec.positional.observe, spec), each_agent(spec.positional.masks, spec)
-    step, running, seen = reference(spec.positional.step), np.ones(n, bool), Counter[str]()
-    ended = np.zeros(n, bool)
-    theirs = [oracle._make_gym_obs() for oracle in oracles]
-    for t in range(limit + 1):
-        ours, legal = observe(state), masks(state)
-        for i in np.flatnonzero(running):
-            np.testing.assert_array_equal(ours[i].astype(np.float32), theirs[i])
-            np.testing.assert_array_equal(legal[i], masks_of(oracles[i]))
-        running &= ~ended
-        if not running.any():
-            break
-        actions = _chosen(generator, spec, state, legal)
-        before, (*state, codes, over) = state, _stepped(step, spec, state, actions)
-        ended = over | (t + 1 == limit)
-        for i in np.flatnonzero(running):
-            theirs[i], paid, done, _, _ = oracles[i].step(actions[i].tolist())
-            np.testing.assert_array_equal(table[codes[i]].astype(np.float32), np.float32(paid))
-            assert ended[i] == done
-        now, was = things(spec, state)[0][running], things(spec, before)[0][running]
-        seen["steps"] += int(running.sum())
-        seen["loads"] += int((codes[running] > 1).sum())
-        seen["failures"] += int((codes[running] == 1).sum())
-        seen["finished"] += int(over[running].sum())
-        walked = actions[running]
-        stood = (now[..., :2] == was[..., :2]).all(2)
-        wanted = np.take_along_axis(legal[running], walked[..., None], 2)[..., 0]
-        seen["collisions"] += int((stood & (walked > 0) & (walked < 5) & (wanted == 1)).sum())
-        places = now[..., 0] * given["field_size"][0] + now[..., 1]
-        seen["shared cells"] += int((np.diff(np.sort(places)) == 0).sum())
-    return seen
+def act(oracle: ForagingEnv, actions: list[int], draws: list[int]) -> Outcome:
+    """Step the package's game; it is over when all food is eaten, and when its time is."""
+    observations, paid, done, _, _ = oracle.step(actions)
+    eaten = oracle.field.sum() == 0
+    ends = [eaten] * len(oracle.players)
+    return look(oracle)._replace(
+        observations=observations, rewards=paid, terminated=ends, truncated=done and not eaten
+    )
 
 
-def _chosen(generator: np.random.Generator, spec: EnvSpec, state: list[Array], legal: Array) -> Array:
+def hungry(ours: Ours, generator: np.random.Generator) -> Array:
     """Choose actions of any kind, also such that are not possible; but often those that lead to a load."""
-    players, foods = things(spec, state)
-    food = foods[np.arange(len(foods)), (foods[:, :, 2] > 0).argmax(1)][:, None]
+    players, foods = things(ours.spec, ours.words)
+    food = foods[np.arange(len(foods)), (foods[:, :, 2] > 0).argmax(1)][:, None].astype(int)
     down, right = np.moveaxis(food[..., :2] - players[..., :2], 2, 0)
     chance = generator.random((3, *down.shape))
     along = (down != 0) & ((right == 0) | (chance[0] < 0.5))
     nearer = np.where(along, np.where(down < 0, 1, 2), np.where(right < 0, 3, 4))
-    nearer = np.where((legal[:, :, 5] == 1) & (chance[1] < 0.9), 5, nearer)
+    nearer = np.where((ours.masks()[:, :, 5] == 1) & (chance[1] < 0.9), 5, nearer)
     return np.where(chance[2] < 0.3, generator.integers(6, size=down.shape), nearer)
 
 
-def _stepped(step: Any, spec: EnvSpec, state: list[Array], actions: Array) -> list[Array]:
-    """Return the state, the categories of all agents, and whether the episode is over."""
-    results = step(*state, *actions.T)
-    codes, over = np.stack(results[len(state) : -spec.agents], 1), np.stack(results[-spec.agents :], 1)
-    assert (over == over[:, :1]).all()
-    return [*results[: len(state)], codes, over[:, 0] == 1]
+def played(given: dict[str, Any], n: int, steps: int, seed: int) -> Counter[str]:
+    """Play games side by side, and count in how many steps there is what."""
+    spec, seen = spec_of(given), Counter[str]()
+    games = Games(spec, [ForagingEnv(**given) for _ in range(n)], put, act, look)
+    penalty = -given["penalty"]
+    for move in compare(spec, games, n, steps, actions=hungry, seed=seed):
+        was, now = (things(spec, state)[0].astype(int) for state in (move.before, move.after))
+        paid = move.outcome.rewards
+        walked = (move.actions > 0) & (move.actions < 5)
+        wanted = was[..., :2] + np.array(AHEAD)[np.where(walked, move.actions, 0)]
+        contested = [
+            (wanted[:, a] == wanted[:, b]).all(1) & (walked[:, a] | walked[:, b])
+            for a, b in itertools.combinations(range(spec.agents), 2)
+        ]
+        stood = (now[..., :2] == was[..., :2]).all(2).any(1)
+        seen["steps"] += n
+        seen["loads"] += int((paid > 0).sum())
+        seen["failures"] += int(((move.actions == 5) & (paid == penalty) & (paid <= 0)).sum())
+        seen["finished"] += int(move.outcome.terminated[:, 0].sum())
+        seen["collisions"] += int((np.any(contested, 0) & stood).sum()) if contested else 0
+        places = now[..., 0] * given["field_size"][0] + now[..., 1]
+        seen["shared cells"] += int((np.diff(np.sort(places)) == 0).sum())
+    return seen
 
 
 @pytest.mark.parametrize(
@@ -174,9 +157,11 @@ def _stepped(step: Any, spec: EnvSpec, state: list[Array], actions: Array) -> li
 )
 @pytest.mark.parametrize("name", CASES)
 def test_episodes(name: str, episodes: int) -> None:
-    seen = compare(CASES[name], episodes, seed=episodes)
+    """Whole episodes, and those that begin again: observations, masks, rewards and ends."""
+    given = CASES[name]
+    seen = played(given, episodes, given["max_episode_steps"], seed=episodes)
     print(name, dict(seen))
-    alone = CASES[name]["players"] == 1
+    alone = given["players"] == 1
     assert min(seen["loads"], 3 * seen["finished"]) >= 5
     assert alone or min(seen["failures"], seen["collisions"]) >= 5
 

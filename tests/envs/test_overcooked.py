@@ -289,8 +289,8 @@ def test_pictures() -> None:
 
 
 REFUSED = {
-    "layout is 'kitchen'; it must be one of cramped_room, ": {"layout": "kitchen"},
-    r"layout is \[\]; it must be one of ": {"layout": []},
+    "layout is 'kitchen'; possible are 'cramped_room', ": {"layout": "kitchen"},
+    r"layout is \[\]; possible are ": {"layout": []},
     "horizon is 0; it must be an integer from 1": {"horizon": 0},
     "cook_time is 255; it must be an integer from 1 to 254": {"cook_time": 255},
     "cook_time is 5, and simple_o has cooking times of its own": {"cook_time": 5, "layout": "simple_o"},

@@ -14,9 +14,10 @@ import pearl_marl
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
+from pearl_marl.porting.oracle import Ours, Outcome, Rules, compare
+from pearl_marl.testing import assert_same_play, compare_pictures, compare_steps, first_episodes
 
-from .fixed import Array, values, words, worst
-from .tabular import first_episodes, step_from
+from .fixed import Array, drawing, values, words, worst
 
 SPEC = pearl_marl.get_spec("Pendulum")
 SPEED = SPEC.state[1]
@@ -29,12 +30,32 @@ def worst_state(g: float) -> float:
     return 3 * 2**-28 + 3.5e-9 * 0.075 * abs(g)
 
 
-def oracle_step(state: list[Array], torque: Array, **options: float) -> tuple[Array, Array, Array]:
-    """Return angle, speed and reward of the oracle's own step, which takes arrays as it takes numbers."""
+def oracle(**options: float) -> Rules:
+    """Return the oracle's own step, which takes arrays as it takes numbers, from states of ours."""
     env: Any = gymnasium.make("Pendulum-v1", **options).unwrapped
-    env.state = np.stack([2 * math.pi * state[0], state[1]])
-    _, reward, _, _, _ = env.step(torque[None])
-    return env.state[0], env.state[1], reward
+
+    def step(state: list[Array], actions: Array, draws: Array) -> Outcome:
+        env.state = np.stack([2 * math.pi * state[0], state[1]])
+        _, rewards, _, _, _ = env.step(actions[:, 0, 0].astype(float)[None])
+        angle, speed = env.state
+        turns = np.remainder(angle / (2 * math.pi) + 0.5, 1) - 0.5
+        turns[np.abs(turns) > 0.5 - 1e-7] = np.nan  # which may be on either end
+        seen = np.stack([np.cos(angle), np.sin(angle), speed], 1)
+        after = {"angle": turns, "speed": speed}
+        return Outcome(seen, rewards, np.zeros(len(speed)), state=after)
+
+    return Rules(step)
+
+
+def tolerance(g: float = 10.0) -> dict[str, float]:
+    """Return by how much each number may differ."""
+    worst = worst_state(g)
+    return {
+        "angle": worst / (2 * math.pi),
+        "speed": worst,
+        "observation": worst + 3.5e-9,
+        "reward": WORST_REWARD,
+    }
 
 
 def random_states(generator: np.random.Generator, n: int) -> list[Array]:
@@ -46,47 +67,23 @@ def random_states(generator: np.random.Generator, n: int) -> list[Array]:
     return [angle, words(generator, SPEED, -8, 8, n)]
 
 
-def test_spec_is_gymnasiums() -> None:
-    theirs = gymnasium.make("Pendulum-v1")
-    assert theirs.observation_space == SPEC.observation_space
-    assert theirs.action_space == SPEC.action_space
-    assert theirs.spec is not None
-    assert theirs.spec.max_episode_steps == SPEC.max_cycles
-    assert theirs.metadata["render_modes"] == list(SPEC.render_modes)
-    assert theirs.metadata["render_fps"] == SPEC.render_fps
+def torques(spec: pearl_marl.EnvSpec, generator: np.random.Generator, n: int) -> Array:
+    """Return torques as devices have them."""
+    return (words(generator, spec.action, -2, 2, n) * 2.0**-spec.action.fraction)[:, None, None]
 
 
 @pytest.mark.parametrize("g", [10.0, 9.81, -200.0])
 def test_step(g: float) -> None:
-    """100,000 states, one step each: state and reward, and the observation that the CPU delivers."""
+    """100,000 states, one step each, and the CPU device, too: state, reward and observation."""
     n, generator = 100_000, np.random.default_rng(1)
     spec = SPEC.with_options(g=g)
-    state, torque = random_states(generator, n), words(generator, spec.action, -2, 2, n)
-    angle, speed, reward, terminated = call_reference(spec.positional.step, [*state, torque])
-    start = [values(word, field) for word, field in zip(state, spec.state, strict=True)]
-    expected = oracle_step(start, values(torque, spec.action), g=g)
-    # Angles are the same if they are on the circle.
-    off = 2 * math.pi * values(angle, spec.state[0]) - expected[0]
-    assert worst("angle", np.remainder(off + math.pi, 2 * math.pi) - math.pi, np.zeros(n)) < worst_state(g)
-    assert worst("speed", values(speed, SPEED), expected[1]) < worst_state(g)
-    assert worst("reward", values(reward, spec.reward), expected[2]) < WORST_REWARD
+    states = random_states(generator, n)
+    move = compare_steps(spec, oracle(g=g), states, torques(spec, generator, n), tolerance(g))
     # Smaller rewards have the same absolute error, which is that of their last two bits.
-    large = np.abs(expected[2]) > 0.015
+    rewards = move.outcome.rewards
+    large = np.abs(rewards) > 0.015
     assert np.count_nonzero(~large) > 10
-    relative = values(reward, spec.reward)[large] / expected[2][large]
-    assert worst("reward, relatively", relative, np.ones(len(relative))) < 2e-6
-    assert not terminated.any()
-
-    numbers = np.stack([np.cos(expected[0]), np.sin(expected[0]), expected[1]], 1)
-    observed = call_reference(spec.positional.observe, [angle, speed])
-    for k, field in enumerate(spec.observation):
-        assert worst(field.name, values(observed[k], field), numbers[:, k]) < worst_state(g) + 3.5e-9
-
-    if g == 10:
-        step = step_from(spec, state, values(torque, spec.action)[:, None])
-        delivered = [values(word, f) for word, f in zip(observed, spec.observation, strict=True)]
-        np.testing.assert_array_equal(step.arrivals(), np.stack(delivered, 1).astype(np.float32))
-        np.testing.assert_array_equal(step.rewards, values(reward, spec.reward).astype(np.float32))
+    assert (move.errors["reward"][large] / np.abs(rewards[large])).max() < 2e-6
 
 
 def test_torque_is_clipped() -> None:
@@ -94,31 +91,26 @@ def test_torque_is_clipped() -> None:
     n, generator = 1_000, np.random.default_rng(2)
     state, torque = random_states(generator, n), words(generator, SPEC.action, -4, 4 - 2**-29, n)
     _, speed, reward, _ = call_reference(SPEC.positional.step, [*state, torque])
-    start = [values(word, field) for word, field in zip(state, SPEC.state, strict=True)]
-    _, expected, rewards = oracle_step(start, values(torque, SPEC.action))
-    assert worst("speed", values(speed, SPEED), expected) < worst_state(10)
-    assert worst("reward", values(reward, SPEC.reward), rewards) < WORST_REWARD
+    theirs = oracle()
+    theirs.pose(np.arange(n), [values(word, field) for word, field in zip(state, SPEC.state, strict=True)])
+    expected = theirs.step(values(torque, SPEC.action)[:, None, None], np.zeros((n, 0)))
+    assert expected.state is not None
+    assert worst("speed", values(speed, SPEED), expected.state["speed"]) < worst_state(10)
+    assert worst("reward", values(reward, SPEC.reward), expected.rewards) < WORST_REWARD
 
 
 def test_follows_the_oracle() -> None:
     """Whole runs with resets: at each step the oracle starts from where ours stands."""
-    n, generator = 64, np.random.default_rng(5)
-    env = pearl_marl.parallel_env("Pendulum", n, max_cycles=50)
-    env.reset_batch(seed=3)
-    fast = 0
-    for t in range(200):
-        start, torque = env.state().T, generator.uniform(-2, 2, (n, 1)).astype(np.float32)
-        torque[: n // 2] = np.where(start[1, : n // 2, None] > 0, 2, -2)  # whirls
-        step = env.step_batch(torque)
-        angle, speed, rewards = oracle_step(list(start), torque[:, 0].astype(float))
-        expected = np.stack([np.cos(angle), np.sin(angle), speed], 1)
-        np.testing.assert_allclose(step.arrivals(), expected, rtol=1e-7, atol=1e-7, err_msg=f"step {t}")
-        np.testing.assert_allclose(step.rewards, rewards, rtol=1e-7, atol=1e-7, err_msg=f"step {t}")
-        assert not step.terminations.any()
-        assert step.truncations.all() == (t % 50 == 49)
-        fast += np.count_nonzero(speed == 8)
+    n = 64
+
+    def whirled(ours: Ours, generator: np.random.Generator) -> Array:
+        torque = torques(SPEC, generator, n)
+        torque[: n // 2, 0, 0] = np.where(ours.words[1][: n // 2] > 0, 2, -2)
+        return torque
+
+    moves = list(compare(SPEC, oracle(), n, 200, actions=whirled, seed=5, posed=True, tolerance=tolerance()))
+    fast = sum(np.count_nonzero(np.abs(values(move.after[1], SPEED)) == 8) for move in moves)
     assert fast > n, "some have to meet the limit of speed"
-    env.close()
 
 
 def test_starts_are_uniform() -> None:
@@ -143,36 +135,24 @@ def test_returns_of_a_random_policy() -> None:
     def policy(obs: Array, generator: np.random.Generator) -> Array:
         return generator.uniform(-2, 2, (n, 1)).astype(np.float32)
 
-    lengths, ours = first_episodes(SPEC, n, 11, policy)
-    assert (lengths == 200).all()
     env: Any = gymnasium.make("Pendulum-v1").unwrapped
     generator = np.random.default_rng(12)
     env.state = generator.uniform([[-math.pi], [-1]], [[math.pi], [1]], (2, n))
     theirs = np.zeros(n)
     for _ in range(200):
         theirs += env.step(generator.uniform(-2, 2, (1, n)))[1]
-    p = stats.ks_2samp(ours, theirs).pvalue
-    print(f"mean return {ours.mean():.1f} and {theirs.mean():.1f}, p = {p:.3f}")
-    assert p > 0.001
+    assert_same_play(first_episodes(SPEC, n, 11, policy), (np.full(n, 200), theirs))
 
 
 def test_pictures_are_gymnasiums() -> None:
-    pytest.importorskip("pygame", reason="Gymnasium draws with pygame")
-    env = pearl_marl.parallel_env("Pendulum", 2, render_mode="rgb_array")
-    gym: Any = gymnasium.make("Pendulum-v1", render_mode="rgb_array")
-    env.reset(seed=0)
-    gym.reset(seed=0)
-    pictures = set()
-    for _ in range(5):
-        env.step(np.array([[-2], [2]], np.float32))
-        turns, speed = env.state()[1]
-        gym.unwrapped.state = np.array([2 * math.pi * turns, speed])
-        picture = env.render("agent_1")
-        np.testing.assert_array_equal(picture, gym.render())
-        pictures.add(np.asarray(picture).tobytes())
-    assert len(pictures) > 3
-    env.close()
-    gym.close()
+    env = drawing(SPEC)
+
+    def drawn(state: Any) -> Any:
+        turns, speed = state
+        env.unwrapped.state, env.unwrapped.last_u = np.array([2 * math.pi * turns, speed]), None
+        return env.render()
+
+    compare_pictures(SPEC, "rgb_array", drawn, [[-2], *[[2]] * 4], different=4)
 
 
 @pytest.mark.parametrize("g", [200.5, -1e9, math.nan, math.inf, "10", True, None])

@@ -16,7 +16,7 @@ from rware.warehouse import Direction, RewardType, Shelf, Warehouse
 from scipy import stats
 
 import pearl_marl
-from pearl_marl import EnvSpec, rng
+from pearl_marl import EnvSpec
 from pearl_marl.envs.robot_warehouse import picture
 from pearl_marl.envs.robot_warehouse.moves import AHEAD, make_ties
 from pearl_marl.envs.robot_warehouse.rules import Rules
@@ -26,6 +26,7 @@ from pearl_marl.envs.robot_warehouse.ties import in_a_set
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference, reference
 from pearl_marl.layout import Layout
+from pearl_marl.porting.oracle import Games, Ours, Outcome, compare
 
 Array = np.ndarray[Any, Any]
 NOOP, FORWARD, TURN_LEFT, TURN_RIGHT, TOGGLE = range(5)
@@ -83,7 +84,7 @@ def whole(rules: Rules, robots: Sequence[Robot], requests: Sequence[Any]) -> tup
     return *(word for robot in robots for word in robot[:words]), *requests
 
 
-class Oracle:
+class Package:
     """The package's warehouse, put where ours is, with draws of ours.
 
     Its shelves have names and ours have not: here a shelf is known by the rack that it stands in or is from.
@@ -106,37 +107,45 @@ class Oracle:
         self.env.reset(seed=0)
         self.env._np_random = self
         self.racks = [self.cell(shelf) for shelf in self.env.shelfs]
+        self.homes: dict[Shelf, int] = {}
 
     def cell(self, thing: Any) -> int:
         return int(self.rules.cell(thing.x, thing.y))
 
-    def put(self, state: list[int]) -> None:
+    def put(self, state: Any) -> None:
         """Start where ours does."""
-        env, (robots, requests) = self.env, parts(self.rules, state)
+        env, (robots, requests) = self.env, state
         env._cur_steps = 0
         shelves = dict(zip(self.racks, env.shelfs, strict=True))
         for rack, shelf in shelves.items():
             shelf.y, shelf.x = divmod(rack, self.rules.stride)
         for agent, robot in zip(env.agents, robots, strict=True):
             agent.x, agent.y, agent.dir = robot.x, robot.y, Direction(robot.direction)
-            agent.carrying_shelf, agent.has_delivered = shelves.get(robot.origin), bool(robot.brought)
+            agent.carrying_shelf = shelves.get(robot.origin)
+            agent.has_delivered = bool(getattr(robot, "brought", 0))
             if agent.carrying_shelf:
                 agent.carrying_shelf.x, agent.carrying_shelf.y = robot.x, robot.y
         where = {self.cell(shelf): shelf for shelf in env.shelfs}
         env.request_queue = [where[cell] for cell in requests]
         assert (len(where), len(set(env.request_queue))) == (len(self.racks), self.rules.requests)
         env._recalc_grid()
+        self.homes = {shelf: rack for rack, shelf in shelves.items()}
 
-    def step(self, actions: list[int], draws: list[int], robots: list[Robot]) -> tuple[Any, Any, bool]:
-        """Step the package; ``robots`` are ours after the step."""
-        self.draws, self.robots, self.chosen = draws, robots, None
+    def step(self, actions: list[int], draws: list[int]) -> Outcome:
+        """Step the package."""
+        self.homes = {shelf: self.rack(shelf) for shelf in self.env.shelfs}
+        self.draws, self.chosen = draws, None
         observations, rewards, done, _, _ = self.env.step(actions)
-        return observations, rewards, done
+        ends = [False] * len(rewards)
+        return Outcome(np.stack(observations), rewards, ends, truncated=done)
+
+    def look(self) -> Outcome:
+        return Outcome(np.stack([self.env._make_obs(agent) for agent in self.env.agents]))
 
     def rack(self, shelf: Shelf) -> int:
         """Return the rack that a shelf stands in or was taken from."""
-        carriers = [k for k, agent in enumerate(self.env.agents) if agent.carrying_shelf is shelf]
-        return self.robots[carriers[0]].origin if carriers else self.cell(shelf)
+        carried = any(agent.carrying_shelf is shelf for agent in self.env.agents)
+        return self.homes[shelf] if carried else self.cell(shelf)
 
     def choice(self, candidates: list[Shelf]) -> Shelf:
         """Be the package's generator: choose the shelf that is asked for next, by our draw."""
@@ -166,7 +175,7 @@ class Oracle:
 
 
 def told(rules: Rules, state: list[int]) -> tuple[Any, ...]:
-    """Return what :meth:`Oracle.state` does, of ours."""
+    """Return what :meth:`Package.state` does, of ours."""
     robots, requests = parts(rules, state)
     return (
         [(r.x, r.y, r.direction, r.origin != 0, bool(r.brought)) for r in robots],
@@ -286,20 +295,21 @@ def errand(rules: Rules, x: int, y: int, way: int, origin: int, requests: list[i
     return FORWARD if way == wanted else TURN_RIGHT
 
 
-def compare(
-    oracles: list[Oracle], actions: Array, draws: Array, state: Array, seen: Array, paid: Array
-) -> list[bool]:
-    """Step the package, and hold what it comes to against ours, a row a world; return whether it is over."""
-    over = []
-    for i, oracle in enumerate(oracles):
-        row = state[i].tolist()
-        robots, _ = parts(oracle.rules, row)
-        observations, rewards, done = oracle.step(actions[i].tolist(), draws[i].tolist(), robots)
-        np.testing.assert_array_equal(seen[i], np.stack(observations))
-        np.testing.assert_array_equal(paid[i], rewards)
-        assert oracle.state() == told(oracle.rules, row)
-        over.append(done)
-    return over
+def packages(spec: EnvSpec, n: int) -> Games:
+    """Return games of the package."""
+    games = [Package(rules_for(spec)) for _ in range(n)]
+    return Games(spec, games, Package.put, Package.step, Package.look)
+
+
+def compare_all(spec: EnvSpec, games: Games, **arguments: Any) -> Counter[str]:
+    """Step both, compare all that either has, and count in how many steps there is what."""
+    rules, count = rules_for(spec), Counter[str]()
+    for move in compare(spec, games, len(games.games), **arguments):
+        before, after = ([word.astype(np.int64) for word in words] for words in (move.before, move.after))
+        for package, row in zip(games.games, np.stack(after, 1).tolist(), strict=True):
+            assert package.state() == told(rules, row)
+        count += counted(rules, before, after, move.actions, move.outcome.rewards > 0)
+    return count
 
 
 def counted(
@@ -345,26 +355,12 @@ def counted(
 def jostled(name: str, turns: int, n: int) -> Counter[str]:
     """Take one step of many crowds, again and again; most often all robots go ahead."""
     spec, generator = spec_of((CASES | OTHERS)[name]), np.random.default_rng(turns)
-    rules, k = rules_for(spec), spec.agents
-    step = reference(spec.positional.step)
-    views = [reference(spec.positional.observe, *view) for view in spec.views]
-    oracles, table, count = [Oracle(rules) for _ in range(n)], np.array(spec.rewards), Counter[str]()
-    for _ in range(turns):
-        rows = [crowded(rules, generator) for _ in range(n)]
-        for oracle, row in zip(oracles, rows, strict=True):
-            oracle.put(row)
-        before = list(np.array(rows).T)
-        actions = generator.choice(5, p=[0.05, 0.6, 0.1, 0.1, 0.15], size=(n, k))
+    rules, games, count = rules_for(spec), packages(spec, n), Counter[str]()
+    for turn in range(turns):
+        rows = np.array([crowded(rules, generator) for _ in range(n)])
+        actions = generator.choice(5, p=[0.05, 0.6, 0.1, 0.1, 0.15], size=(n, spec.agents))
         actions[generator.random(n) < 0.7] = FORWARD
-        draws = generator.integers(1 << 32, size=(n, spec.step_draws), dtype=np.uint32)
-        results = np.broadcast_arrays(*step(*before, *actions.T, *draws.T))
-        state, codes = list(results[: len(before)]), np.stack(results[len(before) : -k], 1)
-        seen = np.stack(
-            [np.stack(np.broadcast_arrays(*view(*state), before[0])[:-1], 1) for view in views], 1
-        )
-        compare(oracles, actions, draws, np.stack(state, 1), seen.astype(np.float32), table[codes])
-        assert not np.any(results[-k:])
-        count += counted(rules, before, state, actions, codes)
+        count += compare_all(spec, games, state=list(rows.T), actions=actions, seed=turn)
     return count
 
 
@@ -392,29 +388,15 @@ MANY = [pytest.param(name, 4, marks=pytest.mark.exhaustive) for name in ("tiny-2
 
 @pytest.mark.parametrize(("name", "games"), [("tiny-2ag", 2), *MANY])
 def test_whole_episodes(name: str, games: int) -> None:
-    """Of the environment as it is played, with its own draws; but the last step does not start it over."""
-    spec, generator = spec_of(CASES[name]), np.random.default_rng(games)
-    rules, k = rules_for(spec), spec.agents
-    env = pearl_marl.parallel_env("RobotWarehouse", games * k, max_cycles=LIMIT + 1, **CASES[name])
-    seen = env.reset_batch(seed=games)
-    oracles, count = [Oracle(rules) for _ in range(games)], Counter[str]()
-    for oracle, row in zip(oracles, env.state().tolist(), strict=True):
-        oracle.put(row)
-    shown = np.stack([np.stack([oracle.env._make_obs(a) for a in oracle.env.agents]) for oracle in oracles])
-    np.testing.assert_array_equal(seen.reshape(shown.shape), shown)
-    for tick in range(LIMIT):
-        before = list(env.state().T.astype(np.int64))
-        actions = worked(rules, before, generator)
-        draws = [
-            rng.draws(rng.seed_words(games), np.arange(games), tick, spec.reset_draws + draw)
-            for draw in range(spec.step_draws)
-        ]
-        step = env.step_batch(actions.ravel())
-        state, paid = env.state().astype(np.int64), step.rewards.reshape(games, k)
-        over = compare(oracles, actions, np.stack(draws, 1), state, step.obs.reshape(shown.shape), paid)
-        assert over == [tick + 1 == spec.max_cycles] * games
-        assert not (step.terminations | step.truncations).any()
-        count += counted(rules, before, list(state.T), actions, paid > 0)
+    """To their time limits, by robots that are at work."""
+    spec = spec_of(CASES[name])
+    assert spec.max_cycles == LIMIT
+    rules = rules_for(spec)
+
+    def working(ours: Ours, generator: np.random.Generator) -> Array:
+        return worked(rules, [word.astype(np.int64) for word in ours.words], generator)
+
+    count = compare_all(spec, packages(spec, games), steps=LIMIT, actions=working, seed=games)
     print(name, dict(count))
     assert min(count[what] for what in ("taken", "put", "paid", "collisions")) >= games
 
@@ -537,7 +519,7 @@ def test_spec(name: str) -> None:
     """Space, racks and goals are the package's, and every word fits its field."""
     spec = spec_of((CASES | OTHERS)[name])
     rules = rules_for(spec)
-    oracle = Oracle(rules)
+    oracle = Package(rules)
     assert spec.observation_space == oracle.env.observation_space[0]
     assert spec.action_space == oracle.env.action_space[0]
     assert (rules.height, rules.width) == oracle.env.grid_size
@@ -600,7 +582,7 @@ def test_pictures() -> None:
 
 
 REFUSED: dict[str, dict[str, Any]] = {
-    "size is 'huge'; possible are 'tiny', 'small', 'medium', 'large'": {"size": "huge"},
+    "size is 'huge'; possible are 'tiny', 'small', 'medium' and 'large'": {"size": "huge"},
     "robots is 5; it must be an integer from 1 to 4: with more, rware breaks ties": {"robots": 5},
     "robots is 0; it must be an integer from 1 to 4": {"robots": 0},
     "robots is True; it must be an integer": {"robots": True},
@@ -611,7 +593,7 @@ REFUSED: dict[str, dict[str, Any]] = {
     },
     "column_height is 16; it must be an integer from 1 to 15": {"column_height": 16},
     "sensor_range is 6; it must be an integer from 1 to 5": {"sensor_range": 6},
-    "reward_type is 'team'; possible are 'individual', 'global', 'two_stage'": {"reward_type": "team"},
+    "reward_type is 'team'; possible are 'individual', 'global' and 'two_stage'": {"reward_type": "team"},
     "max_steps is 0; it must be an integer from 1": {"max_steps": 0},
     "unknown argument 'msg_bits'": {"msg_bits": 2},
 }

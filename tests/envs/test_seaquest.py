@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
 from typing import Any
 
 import gymnasium
@@ -13,15 +13,15 @@ from scipy import stats
 
 import pearl_marl
 from pearl_marl import rng
-from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.envs.seaquest.spec import LAYOUT, minatar_attributes
 from pearl_marl.envs.seaquest.step import CHANCE, CHANCE_BITS, THIRD
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
+from pearl_marl.porting.oracle import Actions, Draws, Games, Ours, Outcome, compare
 from pearl_marl.spec import EnvSpec
-
-from .tabular import first_episodes
+from pearl_marl.testing import assert_same_play, compare_pictures, first_episodes
+from pearl_marl.testing.oracles import random_actions_of
 
 Array = np.ndarray[Any, Any]
 COLUMN = {field.name: k for k, field in enumerate(LAYOUT.fields)}
@@ -64,13 +64,13 @@ def minatar(**options: Any) -> Any:
     return environment
 
 
-def draw_some(generator: np.random.Generator, n: int) -> tuple[Array, Array]:
+def some_draws(generator: np.random.Generator, n: int, count: int) -> Array:
     """Return the two draws of ``n`` slots; now and then one at which a decision changes."""
-    both = generator.integers(1 << 32, size=(2, n), dtype=np.uint32)
+    both = generator.integers(1 << 32, size=(n, count), dtype=np.uint32)
     edges = np.array([0, THIRD - 1, THIRD, CHANCE, 26843545, 26843546], np.uint32)
-    edged = generator.random((2, n)) < 0.1
+    edged = generator.random((n, count)) < 0.1
     both[edged] = both[edged] & np.uint32(15 << 28) | generator.choice(edges, np.count_nonzero(edged))
-    return both[0], both[1]
+    return both.astype(np.int64)
 
 
 class Match:
@@ -82,71 +82,71 @@ class Match:
     def __init__(self, n: int, immortal: bool = False, **options: Any) -> None:
         self.spec, self.n, self.immortal = spec(**options), n, immortal
         self.theirs = [minatar(**options) for _ in range(n)]
-        self.start = call_reference(self.spec.positional.initial, ())
-        self.ours = [np.full(n, word) for word in self.start]
-        # No option changes what is seen, and one kernel is compiled sooner than four.
-        self.deliver = compile_kernels(spec()).deliver
+        self.words = [np.full(n, word) for word in call_reference(self.spec.positional.initial, ())]
         self.episodes = self.most_enemies = self.most_bullets = 0
 
-    def put(self, k: int, ramp: int, divers: int) -> None:
-        """Give one game a higher difficulty and some divers."""
-        self.ours[COLUMN["ramp"]][k], self.ours[COLUMN["aboard"]][k] = ramp, divers
-        words = minatar_attributes(LAYOUT.built(int(column[k]) for column in self.ours))
-        vars(self.theirs[k].env).update(words)
+    def play(self, policy: Actions, steps: int, seed: int, draws: Draws = some_draws) -> None:
+        """Go on by so many steps, and compare whatever the two have after each."""
+        games = Games(self.spec, self.theirs, self.pose, self.step, lambda game: Outcome(game.env.state()))
+        for move in compare(
+            self.spec,
+            games,
+            self.n,
+            steps,
+            state=self.words,
+            actions=policy,
+            draws=draws,
+            seed=seed,
+            restarts=not self.immortal,
+        ):
+            self.words = move.after
+            self.episodes += int(move.ended.sum())
+            for k, environment in enumerate(self.theirs):
+                self.compare_attributes(k, environment)
 
-    def step(self, actions: Array, draw_0: Array, draw_1: Array) -> None:
-        actions = np.asarray(actions, np.uint8)
-        *after, rewards, ends = call_reference(
-            self.spec.positional.step, [*self.ours, actions, draw_0, draw_1]
-        )
-        seen = np.empty((self.n, 10, 10, 10), bool)
-        self.deliver(*call_reference(self.spec.positional.observe, after), seen)
-        for k, environment in enumerate(self.theirs):
-            game = environment.env
-            environment.random.expect(game, int(draw_0[k]), int(draw_1[k]))
-            assert environment.act(int(actions[k])) == (rewards[k], bool(ends[k]))
-            assert not environment.random.queue
-            ours = minatar_attributes(LAYOUT.built(int(column[k]) for column in after))
-            # MinAtar counts to -1 in the step that ends an episode.
-            theirs = {name: getattr(game, name) for name in ours} | {"oxygen": max(0, game.oxygen)}
-            assert ours == theirs
-            assert after[COLUMN["last_action"]][k] == environment.last_action
-            assert np.array_equal(seen[k], game.state())
-            self.most_enemies = max(self.most_enemies, len(game.e_fish) + len(game.e_subs))
-            self.most_bullets = max(self.most_bullets, len(game.e_bullets))
-            if ends[k]:
-                self.episodes += 1
-                if self.immortal:
-                    game.terminal, game.oxygen = False, max(0, game.oxygen)
-                else:
-                    environment.reset()
-                    environment.last_action = NOTHING
-                    for column, word in zip(after, self.start, strict=True):
-                        column[k] = word
-        self.ours = after
+    def pose(self, environment: Any, state: Any) -> None:
+        environment.reset()
+        vars(environment.env).update(minatar_attributes(state))
+        environment.last_action = state.last_action
 
-    def y(self) -> Array:
-        return self.ours[COLUMN["y"]]
+    def step(self, environment: Any, actions: list[int], draws: list[int]) -> Outcome:
+        game = environment.env
+        environment.random.expect(game, *draws)
+        reward, end = environment.act(actions[0])
+        assert not environment.random.queue
+        if self.immortal:
+            game.terminal, game.oxygen = False, max(0, game.oxygen)
+        self.most_enemies = max(self.most_enemies, len(game.e_fish) + len(game.e_subs))
+        self.most_bullets = max(self.most_bullets, len(game.e_bullets))
+        last = {"last_action": environment.last_action}
+        return Outcome(game.state(), reward, end, state=last)
 
-
-Policy = Callable[[Match, np.random.Generator], Array]
-
-
-def at_random(match: Match, generator: np.random.Generator) -> Array:
-    return generator.integers(6, size=match.n)
+    def compare_attributes(self, k: int, environment: Any) -> None:
+        ours = minatar_attributes(LAYOUT.built(int(column[k]) for column in self.words))
+        game = environment.env
+        # MinAtar counts to -1 in the step that ends an episode.
+        assert ours == {name: getattr(game, name) for name in ours} | {"oxygen": max(0, game.oxygen)}
 
 
-def careful(match: Match, generator: np.random.Generator) -> Array:
+def at_random(ours: Ours, generator: np.random.Generator) -> Array:
+    return generator.integers(6, size=(ours.n, 1))
+
+
+def careful(ours: Ours, generator: np.random.Generator) -> Array:
     """Stay under water while there is no diver aboard, and shoot a lot."""
-    actions = generator.choice([LEFT, UP, RIGHT, DOWN, FIRE, FIRE], match.n)
-    surfaces = (actions == UP) & (match.y() == 1) & (match.ours[COLUMN["aboard"]] == 0)
-    return np.where(surfaces, FIRE, actions)
+    actions = generator.choice([LEFT, UP, RIGHT, DOWN, FIRE, FIRE], ours.n)
+    surfaces = (actions == UP) & (ours.words[COLUMN["y"]] == 1) & (ours.words[COLUMN["aboard"]] == 0)
+    return np.where(surfaces, FIRE, actions)[:, None]
 
 
-def bobbing(match: Match, generator: np.random.Generator) -> Array:
+def up_and_down(ours: Ours) -> Array:
+    return np.where(ours.words[COLUMN["y"]] > 0, UP, DOWN)
+
+
+def bobbing(ours: Ours, generator: np.random.Generator) -> Array:
     """Go up and down at the surface, where every second step raises the difficulty; shoot sometimes."""
-    up_and_down = np.where(match.y() > 0, UP, DOWN)
-    return np.where(generator.random(match.n) < 0.1, generator.integers(6, size=match.n), up_and_down)
+    others = generator.integers(6, size=ours.n)
+    return np.where(generator.random(ours.n) < 0.1, others, up_and_down(ours))[:, None]
 
 
 @pytest.mark.parametrize(
@@ -158,10 +158,9 @@ def bobbing(match: Match, generator: np.random.Generator) -> Array:
         pytest.param(careful, 64, 1200, 400, marks=pytest.mark.exhaustive),
     ],
 )
-def test_whole_episodes(policy: Policy, n: int, steps: int, episodes: int) -> None:
-    generator, match = np.random.default_rng(1), Match(n)
-    for _ in range(steps):
-        match.step(policy(match, generator), *draw_some(generator, n))
+def test_whole_episodes(policy: Actions, n: int, steps: int, episodes: int) -> None:
+    match = Match(n)
+    match.play(policy, steps, seed=1)
     assert match.episodes >= episodes
 
 
@@ -174,15 +173,12 @@ def test_whole_episodes(policy: Policy, n: int, steps: int, episodes: int) -> No
     ],
 )
 def test_options(options: dict[str, Any]) -> None:
-    generator, match = np.random.default_rng(2), Match(8, immortal=True, **options)
-    for _ in range(120):
-        match.step(bobbing(match, generator), *draw_some(generator, match.n))
+    match = Match(8, immortal=True, **options)
+    match.play(bobbing, 120, seed=2)
     # The one diver more that is taken from six lets it surface without an end.
-    for k in range(match.n):
-        match.put(k, ramp=0, divers=6)
-    for _ in range(60):
-        match.step(bobbing(match, generator), *draw_some(generator, match.n))
-    ramps = match.ours[COLUMN["ramp"]]
+    match.words[COLUMN["ramp"]][:], match.words[COLUMN["aboard"]][:] = 0, 6
+    match.play(bobbing, 60, seed=3)
+    ramps = match.words[COLUMN["ramp"]]
     assert (ramps.max() > 0) == (
         options["sticky_action_prob"] < 1 and options.get("difficulty_ramping", True)
     )
@@ -192,13 +188,12 @@ def test_options(options: dict[str, Any]) -> None:
     ("n", "steps"), [(12, 150), pytest.param(20, 600, marks=pytest.mark.exhaustive, id="long")]
 )
 @pytest.mark.parametrize("policy", [at_random, bobbing])
-def test_crowded_seas(n: int, steps: int, policy: Policy) -> None:
+def test_crowded_seas(n: int, steps: int, policy: Actions) -> None:
     """Every difficulty from the start, and nobody dies of it."""
-    generator, match = np.random.default_rng(3), Match(n, immortal=True)
-    for k in range(n):
-        match.put(k, ramp=int(generator.integers(20)), divers=-1)
-    for _ in range(steps):
-        match.step(policy(match, generator), *draw_some(generator, n))
+    match = Match(n, immortal=True)
+    match.words[COLUMN["ramp"]][:] = np.random.default_rng(3).integers(20, size=n)
+    match.words[COLUMN["aboard"]][:] = -1
+    match.play(policy, steps, seed=3)
     assert match.most_enemies > 12
     assert match.most_bullets > 3
 
@@ -209,24 +204,26 @@ def test_no_list_overflows(submarines: bool) -> None:
 
     An entry pushed out of its list while alive would be missing beside MinAtar's.
     """
-    n, generator = 6, np.random.default_rng(4)
+    n, steps = 6, itertools.count()
     match = Match(n, immortal=True, sticky_action_prob=0.0)
-    for k in range(n):
-        match.put(k, ramp=0, divers=-1)
-    for step in range(150):
-        row = generator.integers(8, size=n).astype(np.uint32)
+    match.words[COLUMN["aboard"]][:] = -1
+
+    def draws(generator: np.random.Generator, n: int, count: int) -> Array:
+        row = generator.integers(8, size=n)
         # Each row has a direction of its own, so no row is refused.
-        draw_0 = (row & 1) << 31 | row << 28 | np.uint32(0 if submarines else CHANCE)
+        enemy = (row & 1) << 31 | row << 28 | (0 if submarines else CHANCE)
+        return np.stack([enemy, np.full(n, CHANCE)], 1)[:, :count]
+
+    def hurried(ours: Ours, generator: np.random.Generator) -> Array:
         # One bobs from the start; the others take their time at first, as long as the seas fill up.
+        step = next(steps)
         rest = (np.arange(n) * 6 > step) | (generator.random(n) < 0.2 * (step < 60))
-        match.step(np.where(rest, NOTHING, bobbing_only(match)), draw_0, np.full(n, CHANCE, np.uint32))
-    assert match.ours[COLUMN["ramp"]].tolist() == [19] * n
+        return np.where(rest, NOTHING, up_and_down(ours))[:, None]
+
+    match.play(hurried, 150, seed=4, draws=draws)
+    assert match.words[COLUMN["ramp"]].tolist() == [19] * n
     assert match.most_enemies == 29
     assert match.most_bullets == (8 if submarines else 0)
-
-
-def bobbing_only(match: Match) -> Array:
-    return np.where(match.y() > 0, UP, DOWN)
 
 
 def test_a_device_plays_minatars_game() -> None:
@@ -295,9 +292,8 @@ def episodes_of_minatar(n: int, seed: int) -> tuple[Array, Array]:
 @pytest.mark.slow
 def test_episodes_of_a_random_policy() -> None:
     """20,000 episodes of each: lengths and returns have one distribution, by Kolmogorov and Smirnov."""
-    ours = first_episodes(spec(), 20_000, 1, lambda obs, generator: generator.integers(6, size=len(obs)))
-    for mine, other in zip(ours, episodes_of_minatar(20_000, 2), strict=True):
-        assert stats.ks_2samp(mine, other).pvalue > 0.001
+    ours = first_episodes(spec(), 20_000, 1, random_actions_of(spec()))
+    assert_same_play(ours, episodes_of_minatar(20_000, 2))
 
 
 @pytest.mark.parametrize("version", [0, 1])
@@ -328,26 +324,16 @@ def test_bad_difficulty_ramping() -> None:
 
 def test_pictures_are_minatars() -> None:
     pytest.importorskip("seaborn", reason="MinAtar takes its colours from seaborn")
-    env = pearl_marl.parallel_env("Seaquest", 3, render_mode="rgb_array")
-    theirs = gymnasium.make(str(env.spec.oracle), render_mode="rgb_array")
+    theirs = gymnasium.make(str(spec().oracle), render_mode="rgb_array")
     theirs.reset()
     game = theirs.unwrapped.game
-    game.random = game.env.random = Decisions()
-    env.reset(seed=7)
-    pictures, over = set(), False
-    for tick in range(60):
-        draws = [rng.draws(rng.seed_words(7), 1, tick, index) for index in (0, 1)]
-        # Down at first and then still, where nothing happens for a while.
-        action = DOWN if tick < 5 else (LEFT, RIGHT, FIRE)[tick % 3]
-        env.step([UP, action, UP])
-        game.random.expect(game.env, *map(int, draws))
-        *_, over, _, _ = theirs.step(action)
-        if over:
-            break
-        picture = env.render("agent_1")
-        assert picture.dtype == np.uint8
-        np.testing.assert_array_equal(picture, np.rint(255 * theirs.render()))
-        pictures.add(np.asarray(picture).tobytes())
-    assert len(pictures) > 20
-    env.close()
+
+    def drawn(state: Any) -> Any:
+        vars(game.env).update(minatar_attributes(state))
+        game.last_action = state.last_action
+        return np.rint(255 * theirs.render()).astype(np.uint8)
+
+    # Down at first and then still, where nothing happens for a while.
+    actions = [UP, *[DOWN] * 5, *[LEFT, RIGHT, FIRE] * 18]
+    compare_pictures(spec(), "rgb_array", drawn, actions, different=20, seed=7)
     theirs.close()

@@ -12,12 +12,15 @@ import pytest
 from scipy import stats
 
 import pearl_marl
-from pearl_marl import rng
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference, u8, u32
+from pearl_marl.porting.oracle import Outcome, Rules
 from pearl_marl.rendering import HeatMap
+from pearl_marl.testing import assert_same_play, compare_pictures, compare_steps, first_episodes, step_from
+from pearl_marl.testing.oracles import p_of_one_law
 
-from .tabular import first_episodes, first_observations, step_from, table_episodes, table_of
+from .fixed import drawing
+from .tabular import compare_draws, first_observations, table_episodes, table_of
 
 STATES, ACTIONS = 500, 6
 DRY, RAINY = {}, {"is_rainy": True}
@@ -39,6 +42,12 @@ def decode(states: np.ndarray) -> list[np.ndarray]:
     return [u8(states // 100), u8(states // 20 % 5), u8(states // 4 % 5), u8(states % 4)]
 
 
+def number(state: list[np.ndarray]) -> np.ndarray:
+    """Return Gymnasium's states: the inverse of :func:`decode`."""
+    row, column, passenger, destination = (column.astype(int) for column in state[:4])
+    return ((row * 5 + column) * 5 + passenger) * 4 + destination
+
+
 def slip_edges(ours: pearl_marl.EnvSpec) -> list[int]:
     """Return the least remainder with which a taxi slips to the left, and to the right."""
     forward = ours.options["rainy_probability"] if ours.options["is_rainy"] else 1.0
@@ -52,28 +61,42 @@ def draw_of(ours: pearl_marl.EnvSpec, outcome: int, third: int) -> tuple[int, in
     return -(-low // 3), (after - 1) // 3
 
 
+def table(ours: pearl_marl.EnvSpec) -> Rules:
+    """Return ``P``, and the new destinations of the fickle: the other three, by the thirds of the draws."""
+    p = table_of(oracle(**ours.options))
+
+    def step(state: list[np.ndarray], actions: np.ndarray, draws: np.ndarray) -> Outcome:
+        states, action, fickle = number(state), actions[:, 0], state[4] == 1
+        third, outcome = np.zeros((2, len(states)), int)
+        if ours.step_draws:
+            tripled = 3 * draws[:, 0].astype(object)
+            third, rest = (tripled >> 32).astype(int), (tripled % 2**32).astype(int)
+            # Serving has one outcome, whatever the rain.
+            outcome = np.where(action < 4, sum((rest >= edge).astype(int) for edge in slip_edges(ours)), 0)
+        new = p.state[states, action, outcome]
+        changes = fickle & (states // 4 % 5 == 4) & (new // 20 != states // 20)
+        other = third + (third >= states % 4)
+        after = np.where(changes, new // 4 * 4 + other, new)
+        which = states, action, outcome
+        return Outcome(after, p.reward[which], p.terminated[which], state={"fickle": fickle & ~changes})
+
+    return Rules(step)
+
+
 @pytest.mark.parametrize("options", [DRY, RAINY, FICKLE, BOTH, STORM], ids=str)
-def test_golden_step(options: dict[str, Any]) -> None:
-    """Every state, action and slip against ``P``, with a passenger who is not fickle (or not yet aboard)."""
-    table, ours = table_of(oracle(**options)), spec(**options)
+def test_every_step(options: dict[str, Any]) -> None:
+    """Every state, action and slip, with passengers who are fickle and who are not."""
+    ours = spec(**options)
+    outcomes = table_of(oracle(**options)).probability
+    assert outcomes.shape[2] == (3 if ours.options["is_rainy"] else 1)
     states, actions = PAIRS
-    outcomes = table.probability.shape[2]
-    assert outcomes == (3 if ours.options["is_rainy"] else 1)
-    for k in range(outcomes):
-        # Serving has one outcome, whatever the rain.
-        row_of = np.where(actions < 4, k, 0)
+    for k in range(outcomes.shape[2]):
         share = sum(len(range(*draw_of(ours, k, third))) + 1 for third in range(3)) / 2**32
-        assert abs(share - table.probability[0, 0, k]) < 2**-31 if ours.step_draws else share == 1
-        for third, end in itertools.product(range(3), range(2)):
-            drawn = [np.full(len(states), draw_of(ours, k, third)[end], np.uint32)][: ours.step_draws]
-            words = [*decode(states), np.zeros(len(states), np.uint8), u8(actions)]
-            *moved, code, terminated = call_reference(ours.positional.step, [*words, *drawn])
-            (observed,) = call_reference(ours.positional.observe, moved)
-            np.testing.assert_array_equal(observed, table.state[states, actions, row_of])
-            assert ours.rewards is not None
-            np.testing.assert_array_equal(np.array(ours.rewards)[code], table.reward[states, actions, row_of])
-            np.testing.assert_array_equal(terminated, table.terminated[states, actions, row_of])
-            assert not np.any(moved[4])
+        assert abs(share - outcomes[0, 0, k]) < 2**-31 if ours.step_draws else share == 1
+        ends = [draw_of(ours, k, third)[end] for third in range(3) for end in range(2)]
+        for fickle in range(1 + ours.options["fickle_passenger"]):
+            words = [*decode(states), np.full(len(states), fickle)]
+            compare_draws(ours, table(ours), words, actions, ends[: 6 if ours.step_draws else 1])
 
 
 class Injected:
@@ -184,27 +207,14 @@ def test_distribution_of_the_fickle() -> None:
 
 
 @pytest.mark.parametrize("options", [DRY, BOTH], ids=str)
-def test_native_step(options: dict[str, Any]) -> None:
-    """Every pair many times over, with draws that are known, so that each slot's outcome is exact."""
-    ours, table = spec(**options), table_of(oracle(**options))
+def test_many_steps(options: dict[str, Any]) -> None:
+    """Every pair many times over, on the CPU device, too."""
+    ours = spec(**options)
     states, actions = np.tile(PAIRS, 7)[:, : 9 * 2048 + 77]
     fickle = np.arange(len(states)) // len(PAIRS.T) % 2 * int(ours.options["fickle_passenger"])
-    outcomes = np.zeros(len(states), int)
-    new = table.state[states, actions, 0]
-    if ours.step_draws:
-        tripled = 3 * rng.draws(rng.seed_words(5), np.arange(len(states)), 0, 1).astype(object)
-        third, rest = (tripled >> 32).astype(int), (tripled % 2**32).astype(int)
-        outcomes = sum((rest >= edge).astype(int) for edge in slip_edges(ours))
-        outcomes[actions >= 4] = 0
-        new = table.state[states, actions, outcomes]
-        changes = (fickle == 1) & (states // 4 % 5 == 4) & (new // 20 != states // 20)
-        assert changes.sum() > 500
-        other = third + (third >= states % 4)
-        new = np.where(changes, new // 4 * 4 + other, new)
-    step = step_from(ours, [*decode(states), fickle], u8(actions), seed=5)
-    np.testing.assert_array_equal(step.arrivals(), new)
-    np.testing.assert_array_equal(step.rewards, table.reward[states, actions, outcomes])
-    np.testing.assert_array_equal(step.terminations, table.terminated[states, actions, outcomes])
+    move = compare_steps(ours, table(ours), [*decode(states), fickle], actions, seed=5)
+    changed = move.before[4].astype(bool) & ~move.after[4].astype(bool)
+    assert changed.sum() > (500 if ours.step_draws else -1)
 
 
 @pytest.mark.parametrize("options", [RAINY, STORM], ids=str)
@@ -261,14 +271,6 @@ def policy(share: float) -> Any:
     return act
 
 
-def assert_same_distribution(ours: Any, theirs: Any, what: str) -> None:
-    """Compare lengths and returns by Kolmogorov and Smirnov."""
-    for name, mine, other in zip(("lengths", "returns"), ours, theirs, strict=True):
-        p = stats.ks_2samp(mine, other).pvalue
-        print(f"{what}, {name}: means {mine.mean():.3f} and {other.mean():.3f}, p = {p:.3f}")
-        assert p > 0.001
-
-
 @pytest.mark.parametrize("options", [DRY, RAINY], ids=str)
 @pytest.mark.parametrize(
     "share", [0.6, pytest.param(0.0, marks=pytest.mark.slow)], ids=["mostly good", "uniform"]
@@ -278,7 +280,7 @@ def test_episodes_of_a_random_policy(options: dict[str, Any], share: float) -> N
     ours = first_episodes(spec(**options), 20_000, 1, policy(share))
     theirs = table_episodes(oracle(**options), 20_000, 2, policy(share), limit=200)
     assert (ours[0] == 200).any() if share == 0 else (ours[0] < 200).mean() > 0.9
-    assert_same_distribution(ours, theirs, f"{options}, {share}")
+    assert_same_play(ours, theirs)
 
 
 @pytest.mark.slow
@@ -299,30 +301,35 @@ def test_episodes_with_fickle_passengers() -> None:
             returns[i] += float(reward)
             ended = terminated or truncated
     ours = first_episodes(spec(**eager), n, 1, policy(0.9))
-    assert_same_distribution(ours, (lengths, returns), "fickle")
+    assert_same_play(ours, (lengths, returns))
     eager["fickle_passenger"] = False
     steadfast = first_episodes(spec(**eager), n, 1, policy(0.9))
-    assert stats.ks_2samp(steadfast[0], lengths).pvalue < 1e-6, "this test cannot tell the fickle"
+    assert p_of_one_law(steadfast[0], lengths) < 1e-6, "this test cannot tell the fickle"
 
 
 @pytest.mark.parametrize("mode", ["ansi", "rgb_array"])
 def test_pictures_are_gymnasiums(mode: str) -> None:
-    pytest.importorskip("pygame", reason="Gymnasium draws with pygame")
-    env = pearl_marl.parallel_env("Taxi", 2, render_mode=mode)
-    gym = gymnasium.make("Taxi-v4", render_mode=mode)
-    obs, _ = env.reset(seed=0)
-    gym.reset(seed=0)
-    pictures = set()
-    for _ in range(14):
-        action = good_actions()[obs["agent_1"]]
-        obs, *_ = env.step([3, action])
-        gym.unwrapped.s = int(obs["agent_1"])
-        picture = env.render("agent_1")
-        np.testing.assert_array_equal(picture, gym.render())
-        pictures.add(np.asarray(picture).tobytes())
-    assert len(pictures) >= 8
-    env.close()
-    gym.close()
+    env = drawing(spec(), mode)
+
+    def drawn(state: Any) -> Any:
+        row, column, passenger, destination, _ = state
+        env.unwrapped.s = ((row * 5 + column) * 5 + passenger) * 4 + destination
+        return env.render()
+
+    # Of the second world's episode, the actions that lead to its end.
+    compare_pictures(spec(), mode, drawn, journey(1, 14), different=8)
+
+
+def journey(slot: int, steps: int) -> list[int]:
+    """Return good actions for a slot, from where it starts on."""
+    state = int(first_observations(spec(), slot + 1, seed=0)[slot])
+    actions = []
+    for _ in range(steps):
+        actions.append(int(good_actions()[state]))
+        ((_, state, _, ended),) = oracle().P[state][actions[-1]]
+        if ended:
+            break
+    return actions
 
 
 def test_heat_map_counts_the_taxis() -> None:
@@ -359,7 +366,7 @@ def test_options_and_limit() -> None:
     [
         ({"is_rainy": 1}, "is_rainy is 1; it must be True or False"),
         ({"fickle_passenger": "no"}, "fickle_passenger is 'no'; it must be True or False"),
-        ({"rainy_probability": 1.5}, "rainy_probability is 1.5; it must be a probability, 0 to 1"),
+        ({"rainy_probability": 1.5}, "rainy_probability is 1.5; it must be a number from 0 to 1"),
         ({"rainy_probability": True}, "rainy_probability is True"),
         ({"fickle_probability": -1}, "fickle_probability is -1"),
         ({"fickle_probability": float("nan")}, "fickle_probability is nan"),

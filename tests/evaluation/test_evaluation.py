@@ -201,7 +201,7 @@ def test_stages_follow_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     for ours, theirs in zip(device.step(actions), other.step(actions), strict=True):
         np.testing.assert_array_equal(ours, theirs)
     assert "_step" not in vars(other), "a device that nobody times is as it was"
-    assert isinstance(other._transport, Simulation)
+    assert isinstance(other._protocol.transport, Simulation)
     device.close()
     other.close()
 

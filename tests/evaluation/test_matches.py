@@ -158,30 +158,50 @@ def players(tmp_path: Path) -> Path:
 
 
 def test_the_command_tells_who_won(players: Path, pearl: Pearl) -> None:
-    given = ("ConnectFour", "--policy", f"{players}:column_3", "--n-agents", 40)
-    status, out, err = pearl("eval", *given, "--against", f"{players}:column_0", "--openings", 0, "--json")
+    given = ("match", "ConnectFour", f"{players}:column_3")
+    some = ("--n-agents", 40)
+    status, out, err = pearl(*given, f"{players}:column_0", *some, "--openings", 0, "--json")
     assert status == 0, err
-    result = json.loads(out)
-    # Both pile up four discs in their own column, and who begins is there first.
-    assert result["match"]["wins"] == result["match"]["losses"] == 10
-    assert (result["policy"], result["against"]) == (f"{players}:column_3", f"{players}:column_0")
-    assert result["world_return"]["mean"] == 0
-    status, out, err = pearl("eval", *given, "--against", "random")
+    (row,) = json.loads(out)["matches"]
+    # Both pile up four discs in their own column, and the one that begins is there first.
+    assert row["wins"] == row["losses"] == 10
+    assert (row["policy"], row["against"]) == (f"{players}:column_3", f"{players}:column_0")
+    assert row["return"]["mean"] == row["their_return"]["mean"] == 0
+    assert len(row["digest"]) == 64
+    status, out, err = pearl(*given, "random", *some, "--markdown")
     assert status == 0, err
-    assert "20 games" in out
-    assert "% won" in out
+    heading, _, cells, *_ = out.splitlines()
+    assert heading == "| policy | against | games | won | drawn | lost | return | its return |"
+    assert cells.startswith(f"| {players}:column_3 | random | 20 | ")
+
+
+def test_a_match_in_lockstep(pearl: Pearl) -> None:
+    given = ("match", "ConnectFour", "random", "random", "--n-agents", 4, "--lockstep")
+    status, out, err = pearl(*given)
+    assert status == 0, err
+    assert "native is bit-exact with reference" in out
+    status, _, err = pearl(*given, "--device", "reference")
+    assert status == 2
+    assert "which always agrees with itself" in err
+
+
+def test_the_old_form_of_a_match(pearl: Pearl) -> None:
+    status, out, err = pearl("eval", "ConnectFour", "--policy", "random", "--against", "random", "--json")
+    assert status == 0, err
+    assert "use `pearl match ConnectFour random random`" in err
+    assert json.loads(out)["matches"][0]["policy"] == "random (1)"
 
 
 def test_the_command_makes_a_cross_table(players: Path, pearl: Pearl, tmp_path: Path) -> None:
-    rivals = ("--against", f"{players}:column_0", "--against", "random")
-    given = ("ConnectFour", "--policy", f"{players}:column_3", *rivals, "--n-agents", 100)
-    status, out, err = pearl("eval", *given, "--json", "--out", tmp_path / "out")
+    policies = (f"{players}:column_3", f"{players}:column_0", "random")
+    given = ("ConnectFour", *policies, "--n-agents", 100)
+    status, out, err = pearl("match", *given, "--json", "--out", tmp_path / "out")
     assert status == 0, err
     result = json.loads(out)
     assert len(result["matches"]) == 3
     assert all(row["games"] == 50 for row in result["matches"])
     assert json.loads((tmp_path / "out" / "matches.json").read_text()) == result
-    status, out, err = pearl("eval", *given)
+    status, out, err = pearl("match", *given)
     assert status == 0, err
     row = result["matches"][0]
     assert f"{row['wins'] / 50:.1%}" in out
@@ -189,23 +209,16 @@ def test_the_command_makes_a_cross_table(players: Path, pearl: Pearl, tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("line", "words"),
     [
-        (("ConnectFour", "--against", "random", "--episodes", 9), "leave --episodes out"),
-        (("ConnectFour", "--openings", 2), "works only with --against"),
-        (("ConnectFour", "--against", "random", "--against", "random"), "'random' is given as --policy or"),
-        (
-            ("ConnectFour", "--against", "random", "--openings", 42),
-            "openings is 42, and no game went on for more than",
-        ),
-        (("CartPole", "--against", "random"), "CartPole has one agent in a world"),
-        (
-            ("ConnectFour", "--against", "x.npy", "--against", "y.npy", "--lockstep"),
-            "--lockstep compares one",
-        ),
+        ("match ConnectFour random", "a match needs two policies: name another one"),
+        ("match ConnectFour random {0} --openings 42", "openings is 42, and no game went on for more than"),
+        ("match CartPole random {0}", "CartPole has one agent in a world"),
+        ("eval ConnectFour --policy random --openings 2", "--openings is an option of pearl match"),
+        ("eval ConnectFour --policy random --against {0} --episodes 9", "leave --episodes out"),
     ],
 )
-def test_what_cannot_be_asked(arguments: tuple[Any, ...], words: str, pearl: Pearl) -> None:
-    status, _, err = pearl("eval", arguments[0], "--policy", "random", "--n-agents", 8, *arguments[1:])
+def test_what_cannot_be_asked(line: str, words: str, players: Path, pearl: Pearl) -> None:
+    status, _, err = pearl(*line.format(f"{players}:column_0").split(), "--n-agents", 8)
     assert status == 2
     assert words in err

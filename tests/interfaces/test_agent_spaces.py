@@ -46,8 +46,7 @@ def test_spaces_by_agent(name: str, n: int, wrap: Any) -> None:
 
 def test_those_of_ten_million_agents_take_no_memory() -> None:
     """No entry is made to look one up."""
-    from pearl_marl.interfaces.agent_spaces import AgentSpaces
-    from pearl_marl.interfaces.names import Names
+    from pearl_marl.interfaces.agent_dict import AgentSpaces, Names
 
     tracemalloc.start()
     spaces = AgentSpaces.of(Names(10_000_000), [Discrete(2), Discrete(3)])

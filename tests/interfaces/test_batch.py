@@ -12,6 +12,7 @@ import pearl_marl
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
 from pearl_marl.interfaces.batch import Batch
 from pearl_marl.wrappers import black_death_v3, clip_reward_v0, frame_skip_v0, frame_stack_v1
+from pearl_marl.wrappers.transform import Transform
 
 pytestmark = pytest.mark.usefixtures("toys")
 
@@ -43,12 +44,12 @@ def test_members(make: Any, mode: AutoresetMode, autoreset: bool, wrap: Any) -> 
     assert batch.batch_size == N
     assert batch.slot_autoreset_mode is mode
     assert batch.autoreset is autoreset
-    assert batch.slot_action_space == pearl_marl.get_spec("Drift").action_space
+    assert batch.action_space == pearl_marl.get_spec("Drift").action_space
     assert not batch.ready
     obs = env.reset_batch(0)
     assert batch.ready
-    assert batch.live.tolist() == [True] * N
-    assert all(one in batch.slot_observation_space for one in obs)
+    assert batch.present.tolist() == [True] * N
+    assert all(one in batch.observation_space for one in obs)
     assert batch.step_batch([0] * N).obs.shape == obs.shape
     mask = np.arange(N) == 2
     assert batch.reset_slots(mask).shape == obs.shape
@@ -68,7 +69,7 @@ def test_what_moved_to_the_batch_is_still_found(make: Any) -> None:
 class TestWhoIsThere:
     def test_nobody_before_the_first_reset(self) -> None:
         env = parallel(autoreset=False)
-        assert not env.live.any()
+        assert not env.present.any()
         assert env.agents == []
 
     @pytest.mark.parametrize("wrap", [lambda env: env, clip_reward_v0])
@@ -77,26 +78,54 @@ class TestWhoIsThere:
         env.reset_batch(0)
         leaving = 0
         while env.agents:
-            before, content, here = env.live, env.live.copy(), env.agents
+            before, content, here = env.present, env.present.copy(), env.agents
             env.step_batch([4] * N)
             np.testing.assert_array_equal(before, content)
-            assert (env.live is before) == (env.agents == here)
-            assert env.agents == [agent for agent in here if env.live[env.slots[agent]]]
-            leaving += env.live is not before
+            assert (env.present is before) == (env.agents == here)
+            assert env.agents == [agent for agent in here if env.present[env.rows[agent]]]
+            leaving += env.present is not before
         assert leaving
 
     def test_a_transform_may_say_otherwise(self) -> None:
         env = black_death_v3(parallel(autoreset=False, max_cycles=20))
         around = clip_reward_v0(env)
         around.reset_batch(0)
-        while env.unwrapped.live.any():
-            assert around.live.all()
+        while env.unwrapped.present.any():
+            assert around.present.all()
             assert around.agents == env.possible_agents
             around.step_batch([4] * N)
-        assert not around.live.any()
+        assert not around.present.any()
         assert around.agents == env.agents == []
         with pytest.raises(OrderError, match="no agent left"):
             around.step_batch([4] * N)
+
+
+def test_names_of_before_warn() -> None:
+    env = parallel()
+    env.reset_batch(0)
+    step = env.step_batch([0] * N)
+    for of, old, new in (
+        *((env, "live", "present"), (env, "alive", "in_episode"), (env, "slots", "rows")),
+        *((env.batch, "live", "present"), (step, "alive", "in_episode"), (env.device, "alive", "in_episode")),
+    ):
+        with pytest.warns(DeprecationWarning, match=f"{old} is now {new}"):
+            value = getattr(of, old)
+        np.testing.assert_array_equal(value, getattr(of, new))
+    with pytest.warns(DeprecationWarning, match="Early.live is now present"):
+
+        class Early(Transform):
+            live = np.zeros(N, np.bool_)
+
+    assert Early.present is Early.live
+
+
+@pytest.mark.parametrize("actions", [[None] * N, np.full(N, None), [[1, 2], *[0] * (N - 1)]])
+def test_what_is_ignored_may_be_anything(actions: Any) -> None:
+    rules = parallel().batch.action_rules
+    every = np.ones(N, np.bool_)
+    assert list(rules.with_idle(actions, every)) == [0] * N
+    assert rules.with_idle(None, every) is None
+    assert rules.with_idle(actions[1:], every) is not None, "as it is, to be refused"
 
 
 class TestActionsOfThoseWhoLeft:
@@ -105,9 +134,9 @@ class TestActionsOfThoseWhoLeft:
     def gone(self) -> tuple[Any, int, int]:
         env = parallel(autoreset=False, max_cycles=0)
         env.reset_batch(0)
-        while env.live.all():
+        while env.present.all():
             env.step_batch([4] * N)
-        return env, int(np.argmin(env.live)), int(np.argmax(env.live))
+        return env, int(np.argmin(env.present)), int(np.argmax(env.present))
 
     @pytest.mark.parametrize("step", [lambda e, a: e.step(a), lambda e, a: e.step_batch(a)])
     def test_step(self, step: Any) -> None:
@@ -162,7 +191,7 @@ class TestResettingSome:
     @pytest.mark.parametrize("k", [1, 2])
     def test_agents_that_left_are_back(self, k: int, wrap: Any) -> None:
         env, twin = self.played(k, wrap)
-        before = env.live
+        before = env.present
         first = np.array([True, False, False])
         obs = env.reset_slots(first)
         assert before.tolist() == [False] * k + [True] * k + [False] * k
@@ -173,7 +202,7 @@ class TestResettingSome:
             actions = dict.fromkeys(env.agents, 0)
             observations, rewards, terminations, truncations, _ = env.step(actions)
             step = twin.step_batch(np.zeros(3 * k, np.int64))
-            here = [env.slots[agent] for agent in actions]
+            here = [env.rows[agent] for agent in actions]
             assert list(observations) == list(actions)
             np.testing.assert_array_equal(observations.array, step.arrivals()[here])
             np.testing.assert_array_equal(rewards.array, step.rewards[here])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pearl_marl
-from pearl_marl.interfaces.filling import FEW
+from pearl_marl.interfaces.agent_dict import FEW
 
 MANY = FEW + 1
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import pearl_marl
-from pearl_marl.interfaces.names import AgentList, Names
+from pearl_marl.interfaces.agent_dict import AgentList, Names
 
 N = 12
 PLAIN = [f"agent_{i}" for i in range(N)]
@@ -21,7 +21,7 @@ PLAIN = [f"agent_{i}" for i in range(N)]
 @pytest.fixture(autouse=True)
 def few_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have containers of any size filled when they are read, and none from the start."""
-    monkeypatch.setattr("pearl_marl.interfaces.names.FEW", -1)
+    monkeypatch.setattr("pearl_marl.interfaces.agent_dict.FEW", -1)
 
 
 def filled(names: list[str]) -> bool:
@@ -142,14 +142,14 @@ def test_two_lists_of_the_same_names_are_equal_unfilled() -> None:
 
 
 def test_names_of_some() -> None:
-    live = np.arange(N) % 3 == 1
-    here = AgentList(Names(N).of(live))
-    expected = [name for name, there in zip(PLAIN, live, strict=True) if there]
+    present = np.arange(N) % 3 == 1
+    here = AgentList(Names(N).of(present))
+    expected = [name for name, there in zip(PLAIN, present, strict=True) if there]
     assert (len(here), here[1], here[1:]) == (len(expected), expected[1], expected[1:])
-    assert [name in here for name in PLAIN] == live.tolist()
+    assert [name in here for name in PLAIN] == present.tolist()
     assert not filled(here)
     assert here == expected
-    assert Names(N).of(~live | live)[:] == PLAIN
+    assert Names(N).of(~present | present)[:] == PLAIN
 
 
 @pytest.mark.parametrize("env_id", ["CliffWalking", "LevelBasedForaging"])
@@ -171,7 +171,7 @@ def test_steps_of_arrays_make_no_names(env_id: str, autoreset: bool, wrapped: bo
         assert isinstance(names, list)
         assert not filled(names)
     assert "slots" not in vars(env)
-    assert env.slots == {agent: slot for slot, agent in enumerate(env.possible_agents)}
+    assert env.rows == {agent: slot for slot, agent in enumerate(env.possible_agents)}
     env.close()
 
 
@@ -181,5 +181,5 @@ def test_what_is_done_to_the_public_lists_is_nobody_elses() -> None:
     env.agents.clear()
     env.possible_agents.reverse()
     assert list(env.step(np.zeros(4, np.int64))[0]) == PLAIN[:4]
-    assert env.slots["agent_3"] == 3
+    assert env.rows["agent_3"] == 3
     env.close()

@@ -62,7 +62,7 @@ def test_of_a_vector_env() -> None:
             "packed",
             r"observations is 'packed', and only planes can be, which Taxi's are not: leave it out",
         ),
-        ("Seaquest", "bits", r"observations is 'bits'; possible are 'whole', 'packed'"),
+        ("Seaquest", "bits", r"observations is 'bits'; possible are 'whole' and 'packed'"),
     ],
 )
 def test_refusals(name: str, observations: str, message: str) -> None:

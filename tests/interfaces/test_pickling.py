@@ -95,13 +95,13 @@ def test_environments_go_on(name: str, form: str) -> None:
     env.step_batch(actions(env, 0))
     copies = [duplicate(env) for duplicate in DUPLICATES.values()]
     for t in range(1, 3):
-        if env.batch.live.any():
+        if env.batch.present.any():
             given = actions(env, t)
             step = env.step_batch(given)
             for other in copies:
                 assert_same_step(other.step_batch(given), step)
         for other in copies:
-            np.testing.assert_array_equal(other.batch.live, env.batch.live)
+            np.testing.assert_array_equal(other.batch.present, env.batch.present)
             if form not in ("vector", "next step"):
                 assert other.agents == env.agents
 
@@ -211,7 +211,7 @@ def test_wrapped_environments_go_on(wrap: Any, make: Any) -> None:
 @pytest.mark.parametrize("mode", ["R", "full"])
 def test_wrapped_pictures_and_numbers_go_on(mode: str) -> None:
     env = parallel("LevelBasedForaging")
-    shape = env.batch.slot_observation_space.shape
+    shape = env.batch.observation_space.shape
     pictures = wrappers.reshape_v0(env, (1, shape[0] // 3, 3))
     env = wrappers.resize_v1(wrappers.color_reduction_v0(pictures, mode), 2, 2)
     np.testing.assert_array_equal(pickled(env).reset_batch(1), env.reset_batch(1))

@@ -102,7 +102,7 @@ class TestSpaces:
 
     def test_an_environment_without_masks_has_plain_observations(self) -> None:
         env = pearl_marl.parallel_env("CliffWalking", 3)
-        assert env.observation_space("agent_2") is env.batch.slot_observation_space
+        assert env.observation_space("agent_2") is env.batch.observation_space
         assert env.action_masks is None
 
     def test_states(self) -> None:
@@ -118,18 +118,18 @@ class TestWhoIsDead:
         env = meadow(12, max_cycles=0, **arguments)
         env.reset(seed=1)
         while True:
-            before = env.live
+            before = env.present
             step = env.step_batch(allowed(env))
-            gone = (step.ended & ~step.alive & before).reshape(3, 4)
+            gone = (step.ended & ~step.in_episode & before).reshape(3, 4)
             for w in range(3):
-                if gone[w].any() and (env.live & env.alive).reshape(3, 4)[w].any():
-                    here = (env.live & env.alive).reshape(3, 4)[w]
+                if gone[w].any() and (env.present & env.in_episode).reshape(3, 4)[w].any():
+                    here = (env.present & env.in_episode).reshape(3, 4)[w]
                     return env, 4 * w + int(gone[w].argmax()), 4 * w + int(here.argmax())
 
     def test_it_stays_where_agents_start_over(self) -> None:
         env, dead, _ = self.dying()
         assert env.agents == env.possible_agents
-        assert not env.alive[dead]
+        assert not env.in_episode[dead]
         assert not env.action_masks[dead].any()
         actions = dict.fromkeys(env.agents, 0)
         observations, rewards, terminations, truncations, infos = env.step(actions)
@@ -182,7 +182,7 @@ class TestWhoIsDead:
         staying.reset(seed=3)
         seen = 0
         while leaving.agents:
-            before = leaving.live
+            before = leaving.present
             actions = allowed(staying)
             observations, _, terminations, truncations, _ = leaving.step(actions)
             step = staying.step_batch(actions)
@@ -193,7 +193,7 @@ class TestWhoIsDead:
                 last = observations[agent]
                 np.testing.assert_array_equal(last["observation"], step.final_obs[slot][:width])
                 assert not last["action_mask"].any()
-                seen += not step.alive[slot]
+                seen += not step.in_episode[slot]
         assert seen
 
     def test_strict_lifetimes_are_those_of_a_world(self) -> None:
@@ -265,7 +265,7 @@ class TestBadActions:
         env = pearl_marl.parallel_env("ConnectFour", 8, autoreset=False)
         env.reset(seed=0)
         while env.agents:
-            env.step({agent: int(allowed(env, 3)[env.slots[agent]]) for agent in env.agents})
+            env.step({agent: int(allowed(env, 3)[env.rows[agent]]) for agent in env.agents})
 
 
 @pytest.mark.parametrize("device", DEVICES)
@@ -354,10 +354,10 @@ class TestTurns:
         refused(0, f"{waiting}: action 0 out of turn; {agent} is on turn")
         env.agent_selection = agent
         assert env.env.save_state() == first
-        while env.env.action_masks[env.env.slots[env.agent_selection]].all():
+        while env.env.action_masks[env.env.rows[env.agent_selection]].all():
             env.step(0)
         agent, state = env.agent_selection, env.env.save_state()
-        may = "0, 1" if env.env.action_masks[env.env.slots[agent]][1] else "0"
+        may = "0, 1" if env.env.action_masks[env.env.rows[agent]][1] else "0"
         refused(2, f"{agent}: action 2 is masked; it may take {may}")
         assert env.env.save_state() == state
         while not env.terminations[env.agent_selection]:
@@ -402,10 +402,10 @@ class TestSavedStates:
     def test_masks_and_who_is_alive_are_part_of_it(self) -> None:
         env, fresh = meadow(12), meadow(12)
         env.reset(seed=1)
-        while env.alive.all():
+        while env.in_episode.all():
             env.step_batch(allowed(env))
         fresh.load_state(env.save_state())
-        np.testing.assert_array_equal(fresh.alive, env.alive)
+        np.testing.assert_array_equal(fresh.in_episode, env.in_episode)
         np.testing.assert_array_equal(fresh.action_masks, env.action_masks)
 
     def test_resets_by_world(self) -> None:

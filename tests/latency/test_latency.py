@@ -6,13 +6,14 @@ import dataclasses
 import importlib
 import json
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from pearl_marl import get_spec, plan
+from pearl_marl import get_spec
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.devices import BatchConfig, Rtl
@@ -29,6 +30,7 @@ from pearl_marl.latency import (
     draws_wait,
     loop_cycles,
     measure_host,
+    planning,
     predict,
     step_cycles,
 )
@@ -258,13 +260,13 @@ def test_links_that_there_cannot_be(values: tuple[float, float, float]) -> None:
 
 @pytest.fixture
 def quick_host(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plan, "measure_host", lambda spec, n: HOST)
-    monkeypatch.setattr(plan, "synthesised", lambda build: None)
+    monkeypatch.setattr(planning, "measure_host", lambda spec, n: HOST)
+    monkeypatch.setattr(planning, "synthesised", lambda build: None)
 
 
 @pytest.mark.usefixtures("quick_host")
 def test_the_smallest_build_that_is_nearly_the_fastest() -> None:
-    found = plan.plan(SPEC, 43008, LINKS["gen2x8"], 125e6)
+    found = planning.plan(SPEC, 43008, LINKS["gen2x8"], 125e6)
     sizes = [1 << k for k in range(9)]
     best = min(
         predict(SPEC, memory_map(SPEC, 43008, size, width), LINKS["gen2x8"], HOST, 125e6).total
@@ -272,13 +274,13 @@ def test_the_smallest_build_that_is_nearly_the_fastest() -> None:
         for width in DATA_WIDTHS
     )
     assert found.chosen in found.candidates
-    assert found.chosen.prediction.total <= plan.NEAR * best
+    assert found.chosen.prediction.total <= planning.NEAR * best
     for candidate in found.candidates:
         if candidate.layout.pe_num < found.chosen.layout.pe_num:
-            assert candidate.prediction.total > plan.NEAR * best
+            assert candidate.prediction.total > planning.NEAR * best
     assert [c.layout.pe_num for c in found.candidates] == sizes
     # On a link that costs nothing, every cycle counts.
-    fast = plan.plan(SPEC, 43008, Link("fast", 0, 1e12, 1e12, ""), 1e6)
+    fast = planning.plan(SPEC, 43008, Link("fast", 0, 1e12, 1e12, ""), 1e6)
     assert fast.chosen.layout.pe_num > found.chosen.layout.pe_num
     assert fast.chosen.layout.data_wl == 1024
 
@@ -286,12 +288,12 @@ def test_the_smallest_build_that_is_nearly_the_fastest() -> None:
 @pytest.mark.usefixtures("quick_host")
 def test_plans_for_a_part() -> None:
     arty = PARTS["arty-a7-100t"]
-    found = plan.plan(SPEC, 43008, LINKS["gen2x8"], 125e6, arty)
+    found = planning.plan(SPEC, 43008, LINKS["gen2x8"], 125e6, arty)
     assert found.chosen.bram36 == modelled_bram36(found.chosen.layout) <= arty.bram36
     assert all(c.bram36 <= arty.bram36 for c in found.candidates)
     needs = r"need 1,\d+\.\d BRAM36 and 0 DSP or more, the xc7a100t has 135 and 240"
     with pytest.raises(ArgumentError, match=needs):
-        plan.plan(SPEC, 1_000_000, LINKS["gen2x8"], 125e6, arty)
+        planning.plan(SPEC, 1_000_000, LINKS["gen2x8"], 125e6, arty)
 
 
 @pytest.mark.usefixtures("quick_host")
@@ -300,28 +302,28 @@ def test_where_multipliers_are_scarce_cores_are_fewer(monkeypatch: pytest.Monkey
     """They take a quarter of a VC707's 2,800 at most where these outrun the link, and never more than all."""
     monkeypatch.setattr(elaboration, "core_timing", lambda *_: elaboration.Timing(40, 1))  # takes seconds
     spec, link, part = get_spec(env_id), LINKS["gen2x8"], PARTS["vc707"]
-    free = plan.plan(spec, 43008, link, 125e6)
+    free = planning.plan(spec, 43008, link, 125e6)
     assert free.chosen.dsp > 700
-    found = plan.plan(spec, 43008, link, 125e6, part)
+    found = planning.plan(spec, 43008, link, 125e6, part)
     step = found.chosen.prediction
     assert found.chosen.dsp <= 700
     assert step.device < step.write + step.read
     assert found.larger is not None
-    assert found.larger.dsp > 700 or found.larger.prediction.total >= step.total / plan.NEAR
+    assert found.larger.dsp > 700 or found.larger.prediction.total >= step.total / planning.NEAR
     assert max(c.dsp for c in found.candidates) <= 2800
-    fast = plan.plan(spec, 43008, Link("fast", 0.0, 1e12, 1e12, ""), 125e6, part)
+    fast = planning.plan(spec, 43008, Link("fast", 0.0, 1e12, 1e12, ""), 125e6, part)
     assert 700 < fast.chosen.dsp <= 2800
     for candidate in fast.candidates:
         if candidate.dsp <= 700:
             assert candidate.prediction.device > fast.chosen.prediction.link
     with pytest.raises(ArgumentError, match=r"and [\d,]+ DSP or more, the xc7vx485t has 1,030 and 2,800"):
-        plan.plan(spec, 43008, link, 125e6, part, pe_num=128)
+        planning.plan(spec, 43008, link, 125e6, part, pe_num=128)
 
 
 @pytest.mark.usefixtures("quick_host")
 @pytest.mark.parametrize("n", [1, 2, 7])
 def test_plans_for_few_slots(n: int) -> None:
-    found = plan.plan(SPEC, n, LINKS["gen2x8"], 125e6)
+    found = planning.plan(SPEC, n, LINKS["gen2x8"], 125e6)
     assert found.chosen.layout.n_envs == n
     assert (found.overlap is None) == (n == 1)
 
@@ -329,8 +331,8 @@ def test_plans_for_few_slots(n: int) -> None:
 @pytest.mark.usefixtures("quick_host")
 def test_what_is_chosen_is_among_what_it_was_chosen_from() -> None:
     """Also where a narrower word would be near the fastest of as many elements."""
-    found = plan.plan(SPEC, 43008, LINKS["gen2x8"], 100e6)
-    alone = plan.plan(SPEC, 43008, LINKS["gen2x8"], 100e6, pe_num=found.chosen.layout.pe_num)
+    found = planning.plan(SPEC, 43008, LINKS["gen2x8"], 100e6)
+    alone = planning.plan(SPEC, 43008, LINKS["gen2x8"], 100e6, pe_num=found.chosen.layout.pe_num)
     assert alone.chosen.layout.data_wl < found.chosen.layout.data_wl
     assert found.chosen in found.candidates
 
@@ -360,10 +362,10 @@ def test_pearl_plan(pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert result["reason"].startswith("64 PEs")
     assert result["chosen"]["device"] == pytest.approx(result["loop_cycles"]["ours"] / 100e6)
     usage = Usage(43008, 64, 256, 12_345, 678, 110.0, 9, (Memory("m", 1, 2, "LUT RAM"),), {})
-    monkeypatch.setattr(plan, "synthesised", lambda build: usage)
+    monkeypatch.setattr(planning, "synthesised", lambda build: usage)
     assert "12,345 LUT, 678 FF, 110 BRAM36, 9 DSP." in pearl(*arguments)[1]
     large = dataclasses.replace(usage, lut=400_000, dsp=2801)
-    monkeypatch.setattr(plan, "synthesised", lambda build: large)
+    monkeypatch.setattr(planning, "synthesised", lambda build: large)
     assert "2,801 DSP. A vc707 has fewer: lut, dsp." in pearl(*arguments)[1]
     cores = pearl("plan", "CartPole")[1]
     assert re.search(
@@ -392,3 +394,10 @@ def test_refused_plans(pearl: Any, arguments: list[str], says: str) -> None:
     status, out, err = pearl("plan", "CliffWalking", *arguments)
     assert (status, out) == (2, "")
     assert says in " ".join(err.split())
+
+
+def test_the_former_name_of_plan() -> None:
+    sys.modules.pop("pearl_marl.plan", None)
+    with pytest.warns(DeprecationWarning, match="use pearl_marl.latency.plan"):
+        former = importlib.import_module("pearl_marl.plan")
+    assert former.plan is planning.plan

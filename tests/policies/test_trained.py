@@ -101,8 +101,8 @@ DAMAGED = {
     "a width that nobody has": ({"width": 10**12}, "width 1000000000000"),
     "a word for a width": ({"width": "wide"}, "width 'wide'"),
     "another kind": ({"kind": "rule"}, "kind 'rule'"),
-    "a chance below 0": ({"chance": -1}, "chance -1; it must be a number from 0"),
-    "a chance that no float holds": ({"chance": 10**400}, "it must be a number from 0"),
+    "a temperature below 0": ({"temperature": -1}, "temperature -1; it must be a number from 0"),
+    "a temperature that no float holds": ({"temperature": 10**400}, "it must be a number from 0"),
     "a list for a kind": ({"kind": []}, r"kind \[\]"),
     "a tensor too few": ({"drop": "network.output.bias"}, "network.output.bias"),
     "another environment's tensors": ({"environment": "Taxi", "options": {}}, "tensors"),
@@ -229,7 +229,19 @@ def test_headers_that_are_deep_or_long(saved: Path) -> None:
     assert len(str(caught.value)) < 1000
 
 
-def test_a_chance_may_be_any_number(saved: Path) -> None:
-    rewritten(saved, chance=2**64)
+@pytest.mark.parametrize("name", ["temperature", "chance"])
+def test_a_temperature_may_be_any_number(name: str, saved: Path) -> None:
+    rewritten(saved, **{name: 2**64})
     actions = load_policy(str(saved), get_spec("CartPole"))(np.zeros((9, 4), np.float32))
     assert set(actions.tolist()) <= {0, 1}
+
+
+@pytest.mark.parametrize(("kind", "name"), [("logits", "temperature"), ("values", "epsilon")])
+def test_older_files_have_one_name_for_both(kind: str, name: str, tmp_path: Path) -> None:
+    path = tmp_path / "policy.safetensors"
+    trained.NetworkPolicy(get_spec("CartPole"), kind, 8, **{name: 0.25}).save(path)
+    new = trained.load(path)
+    rewritten(path, drop=name, chance=0.25)
+    old = trained.load(path)
+    assert getattr(old, name) == getattr(new, name) == 0.25
+    assert old.about == new.about

@@ -25,24 +25,19 @@ from pearl_marl.errors import ArgumentError, DeviceError
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 training = importlib.import_module("pearl_marl.training.run")
 run_folder = importlib.import_module("pearl_marl.training.run_folder")
-rollout = importlib.import_module("pearl_marl.training.rollout")
+agents = importlib.import_module("pearl_marl.training.agents")
 
 GIVEN = {"n_agents": 64, "iterations": 6}
 
 
 def run(folder: Path, **given: Any) -> Any:
     settings = training.settings_for("q-learning", "CliffWalking", {**GIVEN, **given})
-    return training.train(
-        "CliffWalking",
-        {},
-        "q-learning",
-        settings,
-        "native",
-        folder,
-        evaluate_every=2,
-        checkpoint_seconds=0.0,
-        evaluated=10,
-    )
+    plan = training.Training("CliffWalking", "q-learning", settings, evaluate_every=2)
+    run = training.TrainingRun(plan, folder, evaluated=10, checkpoint_seconds=0.0)
+    with run.claimed():
+        while not run.finished:
+            run.iterate()
+    return run.rows
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +121,22 @@ def test_a_damaged_checkpoint_is_refused_and_the_one_before_gone_on_from(damage:
     assert file.exists()
 
 
+def test_a_run_whose_settings_have_earlier_names_goes_on(folder: Path) -> None:
+    whole = [{**row, "seconds": 0} for row in run(folder)]
+    policy = (folder / "policy.safetensors").read_bytes()
+    (folder / "checkpoint.pt").unlink()  # so that something is left to do
+    file, config = folder / "checkpoint.previous.pt", folder / "config.json"
+    checkpoint, about = torch.load(file, weights_only=True), json.loads(config.read_text())
+    settings = json.loads(checkpoint["settings"])
+    for of in (settings["settings"], about["settings"]["settings"]):
+        of["rate"], of["fading"] = of.pop("learning_rate"), of.pop("learning_rate_decay")
+    torch.save({**checkpoint, "settings": json.dumps(settings)}, file)
+    config.write_text(json.dumps(about))
+    refused(folder, r"holds a run with learning_rate 0\.5, not 0\.25", learning_rate=0.25)
+    assert [{**row, "seconds": 0} for row in run(folder)] == whole
+    assert (folder / "policy.safetensors").read_bytes() == policy
+
+
 def test_a_damaged_checkpoint_that_is_the_only_one(folder: Path) -> None:
     (folder / "checkpoint.previous.pt").unlink()
     (folder / "checkpoint.pt").write_bytes(b"")
@@ -174,7 +185,7 @@ def test_a_device_that_fails_is_not_the_checkpoints_fault(
     def fails(*_: Any) -> None:
         raise DeviceError("the board is away")
 
-    monkeypatch.setattr(rollout.Agents, "load", fails)
+    monkeypatch.setattr(agents.Agents, "load", fails)
     with pytest.raises(DeviceError, match="the board is away"):
         run(folder)
 
@@ -361,7 +372,10 @@ def test_of_several_the_one_who_trains_has_its_settings_there(round_: int, tmp_p
     ("given", "says"),
     [
         ({"seed": 1}, r"checkpoint\.pt is of a run with seed 0, not 1: give the same settings"),
-        ({"rate": 0.25}, r"checkpoint\.pt is of a run with rate .*, not 0\.25: give the same settings"),
+        (
+            {"learning_rate": 0.25},
+            r"checkpoint\.pt is of a run with learning_rate .*, not 0\.25: give the same settings",
+        ),
     ],
 )
 @pytest.mark.parametrize("config", ["none", "its own"])
@@ -474,11 +488,12 @@ OTHERS: dict[tuple[str, str], dict[str, dict[str, Any]]] = {
 def test_what_no_trainer_keeps_is_refused(algorithm: str, env_id: str, tmp_path: Path) -> None:
     """Compiled loops would read beside their tables, and a policy be written beside its folder."""
     small = {"n_agents": 4, "iterations": 2, "width": 16, "seed": 0, "minibatch": 8}
-    small |= {"memory": 8, "warm_up": 0} if algorithm == "dqn" else {"depth": 8}
+    small |= {"memory": 8, "warm_up": 0} if algorithm == "dqn" else {"rollout_length": 8}
     settings = training.settings_for(algorithm, env_id, small)
 
     def train() -> None:
-        training.train(env_id, {}, algorithm, settings, "native", tmp_path, evaluate_every=1, evaluated=2)
+        plan = training.Training(env_id, algorithm, settings, evaluate_every=1)
+        training.train(plan, tmp_path, evaluated=2)
 
     train()
     file = tmp_path / "checkpoint.pt"

@@ -1,4 +1,4 @@
-"""What is learned by compiled loops is what DQN's operations of PyTorch learn."""
+"""The compiled gradients of DQN's loss are those of autograd."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from pearl_marl.registry import get_spec
+from pearl_marl.training.dqn import Minibatch
 from pearl_marl.training.run import ALGORITHMS, settings_for
 
 
@@ -25,13 +26,14 @@ def test_gradients_are_those_of_pytorch(env_id: str, masked: bool, n: int) -> No
         for parameter in (*trainer.policy.parameters(), *trainer.target.parameters()):
             parameter += 0.2 * torch.randn(parameter.shape)
     chosen = torch.arange(n)
-    obs, actions, _, arrivals, *_ = (rows[:4].flatten(0, 1)[chosen] for rows in trainer.memory.values())
+    kept = {name: rows[:4].flatten(0, 1)[chosen] for name, rows in trainer.memory.items()}
     masks = (torch.rand(n, trainer.policy.outputs) < 0.5).to(torch.int8)
     masks[:, 0] = 1
-    over, alive = torch.rand(n) < 0.2, torch.rand(n) < 0.8
-    steps = actions, torch.randn(n), over, alive, masks if masked else None
+    over, alive, rewards = torch.rand(n) < 0.2, torch.rand(n) < 0.8, torch.randn(n)
+    kept |= {"over": over, "alive": alive, "rewards": rewards, "masks": masks if masked else None}
+    minibatch = Minibatch(**kept, position=chosen % spec.agents)
     found = []
-    for learn in (trainer.learn_compiled, trainer.learn_by_torch):
-        loss = learn(obs, arrivals, chosen % spec.agents, steps)
+    for gradients in (trainer.compiled_gradients, trainer.gradients):
+        loss = gradients(minibatch)
         found.append((loss.float(), [p.grad.clone() for p in trainer.policy.parameters()]))
     torch.testing.assert_close(*found, rtol=1e-4, atol=1e-5)

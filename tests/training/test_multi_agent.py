@@ -21,11 +21,11 @@ torch = pytest.importorskip("torch", reason="torch is not installed: pip install
 training = importlib.import_module("pearl_marl.training.run")
 network = importlib.import_module("pearl_marl.policies.network")
 trained = importlib.import_module("pearl_marl.policies.trained")
-rollout = importlib.import_module("pearl_marl.training.rollout")
+agents = importlib.import_module("pearl_marl.training.agents")
 
 Pearl = Callable[..., tuple[int, str, str]]
 
-SMALL: dict[str, Any] = {"n_agents": 32, "depth": 16, "iterations": 3, "minibatch": 64}
+SMALL: dict[str, Any] = {"n_agents": 32, "rollout_length": 16, "iterations": 3, "minibatch": 64}
 
 
 pytestmark = pytest.mark.usefixtures("toys")
@@ -47,14 +47,14 @@ def test_masks_are_never_violated(algorithm: str, name: str) -> None:
     trainer = trainer_of(algorithm, name, **SMALL)
     for _ in range(SMALL["iterations"]):
         e = trainer.worker.gather(trainer.done)
-        allowed = e.view.masks.gather(2, e.actions[..., None])[..., 0] == 1
-        asked = (e.view.masks != 0).any(2)
+        allowed = e.inputs.masks.gather(2, e.actions[..., None])[..., 0] == 1
+        asked = (e.inputs.masks != 0).any(2)
         assert asked.any()
         assert allowed[asked].all()
-        assert not e.learned[~asked].any(), "there was nothing to decide"
+        assert not e.loss_mask[~asked].any(), "there was nothing to decide"
         trainer.iterate()
     assert all(tensor.isfinite().all() for tensor in trainer.model.state_dict().values())
-    obs, masks = e.view.obs[0].numpy(), e.view.masks[0].numpy()
+    obs, masks = e.inputs.obs[0].numpy(), e.inputs.masks[0].numpy()
     chosen = trainer.policy.choose(obs, masks)
     assert masks[np.arange(len(masks)), chosen][masks.any(1)].all()
 
@@ -66,7 +66,7 @@ def test_exploration_keeps_to_masks(name: str) -> None:
     step = trainer.agents.step
 
     def watched(actions: Any) -> Any:
-        taken.append((trainer.agents.view.masks, actions))
+        taken.append((trainer.agents.inputs.masks.clone(), actions))
         return step(actions)
 
     trainer.agents.step = watched
@@ -92,10 +92,10 @@ def test_logits_of_masked_actions_have_no_probability_and_no_gradient() -> None:
     obs = torch.zeros(2, 6, 7, 2, dtype=torch.int8)
     masks = torch.tensor([[1, 0, 0, 1, 0, 0, 0], [0] * 7])
     outputs = trainer.policy(obs, masks)
-    logs, _, gradients = trainer.model.weigh(outputs, torch.tensor([3, 0]))
+    log_probs, entropy = trainer.model.evaluate(outputs, torch.tensor([3, 0]))
     assert outputs.softmax(1)[0, [1, 2, 4, 5, 6]].eq(0).all()
-    assert logs.exp().tolist() == pytest.approx([0.5, 1 / 7], abs=0.01)
-    ((_, gradient),) = gradients(torch.ones(2), 1.0)
+    assert log_probs.exp().tolist() == pytest.approx([0.5, 1 / 7], abs=0.01)
+    (gradient,) = torch.autograd.grad(log_probs.sum() + entropy, outputs, retain_graph=True)
     assert gradient.isfinite().all()
     assert (gradient[0, [1, 2, 4, 5, 6]] == 0).all()
     outputs.backward(gradient)
@@ -104,56 +104,56 @@ def test_logits_of_masked_actions_have_no_probability_and_no_gradient() -> None:
 
 def test_who_waits_is_credited_with_what_the_other_does() -> None:
     """In Nim who moves wins, so nobody loses by a move of its own."""
-    e = trainer_of("ppo", "Nim", **SMALL, discount=1.0, trace=1.0).worker.gather(0)
+    e = trainer_of("ppo", "Nim", **SMALL, discount=1.0, gae_lambda=1.0).worker.gather(0)
     losses = e.ended & (e.rewards < 0)
     assert losses.any()
-    assert not e.learned[losses].any(), "it was not on turn"
+    assert not e.loss_mask[losses].any(), "it was not on turn"
     for t, agent in losses.nonzero().tolist():
-        before = e.learned[:t, agent].nonzero()
+        before = e.loss_mask[:t, agent].nonzero()
         started = e.ended[:t, agent].nonzero()
         if len(before) and (not len(started) or before[-1] > started[-1]):
             assert e.returns[before[-1, 0], agent] == -1
-    last = (e.view.masks[-1] != 0).any(1)
+    last = (e.inputs.masks[-1] != 0).any(1)
     open_end = last & ~e.ended[-1]
     assert open_end.any()
-    assert not e.learned[-1][open_end].any(), "where it led is not known before the other has moved"
+    assert not e.loss_mask[-1][open_end].any(), "where it led is not known before the other has moved"
 
 
 def test_the_dead_do_not_learn() -> None:
-    trainer = trainer_of("ppo", "Meadow", **{**SMALL, "depth": 40})
+    trainer = trainer_of("ppo", "Meadow", **{**SMALL, "rollout_length": 40})
     e = trainer.worker.gather(0)
-    dead = (e.view.masks == 0).all(2)
+    dead = (e.inputs.masks == 0).all(2)
     assert dead.any()
-    assert not e.learned[dead].any()
+    assert not e.loss_mask[dead].any()
     # Nothing that a dead agent sees has to do with its last decision.
     died = e.ended[:-1] & dead[1:]
     assert died.any()
     with torch.no_grad():
-        values = trainer.model.values(e.view.flat()).reshape(e.rewards.shape)
+        values = trainer.model.values(e.inputs.flat()).reshape(e.rewards.shape)
     gains = (e.rewards - values)[:-1]
     torch.testing.assert_close(e.advantages[:-1][died], gains[died])
 
 
 def test_team_rewards() -> None:
     rewards = torch.tensor([[1.0, 0.0, 4.0, 2.0], [0.0, 0.0, 1.0, 1.0]])
-    assert rollout.team_rewards(rewards, 2, "own") is rewards
-    assert rollout.team_rewards(rewards, 2, "mean").tolist() == [[0.5, 0.5, 3, 3], [0, 0, 1, 1]]
-    assert rollout.team_rewards(rewards, 2, "sum").tolist() == [[1, 1, 6, 6], [0, 0, 2, 2]]
+    assert agents.team_rewards(rewards, 2, "own") is rewards
+    assert agents.team_rewards(rewards, 2, "mean").tolist() == [[0.5, 0.5, 3, 3], [0, 0, 1, 1]]
+    assert agents.team_rewards(rewards, 2, "sum").tolist() == [[1, 1, 6, 6], [0, 0, 2, 2]]
 
 
 def test_who_is_dead_still_wants_what_the_team_earns() -> None:
-    given = {**SMALL, "depth": 60, "discount": 1.0, "trace": 1.0}
+    given = {**SMALL, "rollout_length": 60, "discount": 1.0, "gae_lambda": 1.0}
     own, team = (
         trainer_of("ppo", "Meadow", rewards=whose, **given).worker.gather(0) for whose in ("own", "sum")
     )
     assert torch.equal(own.rewards, team.rewards), "the same weights act alike"
-    dead = (own.view.masks == 0).all(2)
-    together = rollout.team_rewards(own.rewards, 4, "sum")
+    dead = (own.inputs.masks == 0).all(2)
+    together = agents.team_rewards(own.rewards, 4, "sum")
     checked = 0
     for t, agent in (own.ended[:-1] & dead[1:]).nonzero().tolist():
         world = slice(agent // 4 * 4, agent // 4 * 4 + 4)
         alive_again = (~dead[t + 1 :, agent]).nonzero()
-        if not len(alive_again) or not team.learned[t, agent]:
+        if not len(alive_again) or not team.loss_mask[t, agent]:
             continue
         until = t + 1 + int(alive_again[0])
         cut = own.ended[until - 1, world] & (own.rewards[until - 1, world] > -99)
@@ -169,21 +169,21 @@ def test_who_is_dead_still_wants_what_the_team_earns() -> None:
 def test_the_central_critic_sees_the_state_of_the_world_and_nothing_else() -> None:
     trainer = trainer_of("mappo", "LevelBasedForaging", {"sight": 1}, **SMALL)
     agents = trainer.worker.agents
-    np.testing.assert_array_equal(agents.view.state[::2], agents.device.state())
-    np.testing.assert_array_equal(agents.view.state[1::2], agents.device.state())
+    np.testing.assert_array_equal(agents.inputs.state[::2], agents.device.state())
+    np.testing.assert_array_equal(agents.inputs.state[1::2], agents.device.state())
     trainer.iterate()
-    view, critic = agents.view, trainer.model
+    inputs, critic = agents.inputs, trainer.model
     with torch.no_grad():
-        values, outputs = critic.values(view), critic.outputs(view)
-        blind = view._replace(obs=torch.zeros_like(view.obs))
+        values, outputs = critic.values(inputs), critic.outputs(inputs)
+        blind = inputs._replace(obs=torch.zeros_like(inputs.obs))
         assert torch.equal(critic.values(blind), values), "of what agents observe it sees nothing"
-        for column in range(view.state.shape[1]):
-            state = view.state.clone()
+        for column in range(inputs.state.shape[1]):
+            state = inputs.state.clone()
             state[:, column] += 1
-            moved = view._replace(state=state)
+            moved = inputs._replace(state=state)
             assert (critic.values(moved) != values).any(), f"it sees {trainer.policy.spec.state[column].name}"
             assert torch.equal(critic.outputs(moved), outputs), "the policy does not"
-        other = view._replace(position=1 - view.position)
+        other = inputs._replace(position=1 - inputs.position)
         assert (critic.values(other) != values).any(), "each agent of a world has its own value"
 
 
@@ -200,21 +200,21 @@ def test_the_central_critic_learns() -> None:
 
 def test_a_step_of_which_the_state_is_not_known_is_not_learned_from() -> None:
     """At a time limit the next state is that of another episode, which must not get into the advantages."""
-    given = {**SMALL, "n_agents": 200, "depth": 20, "discount": 0.9, "trace": 0.0}
+    given = {**SMALL, "n_agents": 200, "rollout_length": 20, "discount": 0.9, "gae_lambda": 0.0}
     trainer = trainer_of("mappo", "LevelBasedForaging", {"max_episode_steps": 7}, **given)
     e = trainer.worker.gather(0)
     with torch.no_grad():
-        values = trainer.model.values(e.view.flat()).reshape(e.rewards.shape)
+        values = trainer.model.values(e.inputs.flat()).reshape(e.rewards.shape)
     first = ~e.ended[:6].any(0)  # who is in its first episode still
     loaded = e.rewards[6].reshape(-1, 2).any(1).repeat_interleave(2)
     cut = first & ~loaded  # only by loading the last food a game ends before
     assert e.ended[6][cut].all()
     assert cut.sum() > 100
-    assert not e.learned[6][cut].any()
-    assert e.learned[:6][:, cut].all()
+    assert not e.loss_mask[6][cut].any()
+    assert e.loss_mask[:6][:, cut].all()
     expected = e.rewards[5] + 0.9 * values[6] - values[5]
     torch.testing.assert_close(e.advantages[5][cut], expected[cut])
-    assert e.learned[7:13][:, cut].float().mean() > 0.9
+    assert e.loss_mask[7:13][:, cut].float().mean() > 0.9
 
 
 # ---- What agents share ----
@@ -224,13 +224,13 @@ def test_a_step_of_which_the_state_is_not_known_is_not_learned_from() -> None:
 @pytest.mark.parametrize("algorithm", ["ippo", "mappo", "iql"])
 def test_networks_are_shared_or_not(algorithm: str, sharing: str, tmp_path: Path) -> None:
     given = {"n_agents": 32, "iterations": 12, "minibatch": 32, "sharing": sharing}
-    given |= {"depth": 4} if algorithm != "iql" else {"warm_up": 2}
+    given |= {"rollout_length": 4} if algorithm != "iql" else {"warm_up": 2}
     trainer = trainer_of(algorithm, "LevelBasedForaging", **given)
     for _ in range(4):
         trainer.iterate()
     policy, obs = (
         trainer.policy,
-        torch.as_tensor(trainer.agents.view.obs if algorithm == "iql" else trainer.worker.agents.obs),
+        torch.as_tensor(trainer.agents.inputs.obs if algorithm == "iql" else trainer.worker.agents.obs),
     )
     with torch.no_grad():
         outputs = policy(obs[:1].expand(4, -1))
@@ -242,14 +242,14 @@ def test_networks_are_shared_or_not(algorithm: str, sharing: str, tmp_path: Path
     np.testing.assert_array_equal(again.choose(obs.numpy()), policy.choose(obs.numpy()))
 
 
-def test_networks_apart_learn_from_their_own_agents_alone() -> None:
-    apart = network.networks(get_spec("LevelBasedForaging"), 3, 8, sharing="none")
+def test_separate_networks_learn_from_their_own_agents_alone() -> None:
+    separate = network.networks(get_spec("LevelBasedForaging"), 3, 8, sharing="none")
     obs, position = torch.rand(7, 15), torch.tensor([0, 1, 1, 0, 1, 0, 0])
-    outputs = apart(obs, position)
+    outputs = separate(obs, position)
     for k in range(2):
-        torch.testing.assert_close(outputs[position == k], apart[k](obs[position == k]))
+        torch.testing.assert_close(outputs[position == k], separate[k](obs[position == k]))
     outputs[position == 1].sum().backward()
-    assert all(not parameter.grad.any() for parameter in apart[0].parameters())
+    assert all(not parameter.grad.any() for parameter in separate[0].parameters())
 
 
 def test_an_unknown_sharing_of_a_file_is_refused(tmp_path: Path) -> None:
@@ -279,16 +279,24 @@ def test_other_names_of_algorithms(tmp_path: Path) -> None:
         "ppo", "LevelBasedForaging", {}
     )
     settings = training.settings_for("iql", "LevelBasedForaging", {"n_agents": 8, "iterations": 1})
-    training.train("LevelBasedForaging", {}, "iql", settings, "native", tmp_path, evaluated=10)
+    training.train(training.Training("LevelBasedForaging", "iql", settings), tmp_path, evaluated=10)
     assert json.loads((tmp_path / "config.json").read_text())["settings"]["algorithm"] == "dqn"
-    assert training.train("LevelBasedForaging", {}, "dqn", settings, "native", tmp_path), "the same run"
+    same = training.Training("LevelBasedForaging", "dqn", settings)
+    assert training.train(same, tmp_path), "the same run"
 
 
 # ---- Self-play ----
 
 
 def test_members_of_the_league_act_and_are_not_learned_from() -> None:
-    given = {**SMALL, "n_agents": 64, "mirrored": 0.25, "opponents": 3, "depth": 8, "random_moves": 0.0}
+    given = {
+        **SMALL,
+        "n_agents": 64,
+        "mirrored": 0.25,
+        "opponents": 3,
+        "rollout_length": 8,
+        "random_moves": 0.0,
+    }
     trainer = trainer_of("self-play", "ConnectFour", **given)
     worker = trainer.worker
     players = worker.players.reshape(-1, 2)
@@ -302,34 +310,41 @@ def test_members_of_the_league_act_and_are_not_learned_from() -> None:
     member["network.output.weight"].zero_()
     member["network.output.bias"].copy_(torch.tensor([0.0, 0, 1e4, 0, 0, 0, 0]))
     e = worker.gather(0)
-    theirs = (worker.players != 0).expand_as(e.learned) & (e.view.masks != 0).any(2)
-    room = theirs & (e.view.masks[..., 2] == 1)
+    theirs = (worker.players != 0).expand_as(e.loss_mask) & (e.inputs.masks != 0).any(2)
+    room = theirs & (e.inputs.masks[..., 2] == 1)
     assert room.any()
     assert (e.actions[room] == 2).all()
-    assert not e.learned[theirs].any()
-    mine = (worker.players == 0).expand_as(e.learned) & (e.view.masks != 0).any(2)
+    assert not e.loss_mask[theirs].any()
+    mine = (worker.players == 0).expand_as(e.loss_mask) & (e.inputs.masks != 0).any(2)
     assert len(e.actions[mine].unique()) == 7
-    assert e.learned[:-2][mine[:-2]].all()
+    assert e.loss_mask[:-2][mine[:-2]].all()
 
 
 def test_random_moves_are_not_learned_from() -> None:
     """But what came before them is, and goes by the value of where they were made."""
-    given = {**SMALL, "n_agents": 128, "depth": 12, "mirrored": 1.0, "random_moves": 0.5, "discount": 0.9}
+    given = {
+        **SMALL,
+        "n_agents": 128,
+        "rollout_length": 12,
+        "mirrored": 1.0,
+        "random_moves": 0.5,
+        "discount": 0.9,
+    }
     trainer = trainer_of("self-play", "ConnectFour", **given)
     # A policy that plays in the middle, so that what is not there is random.
     with torch.no_grad():
         trainer.policy.network.output.bias[3] = 1e4
     e = trainer.worker.gather(0)
-    decides = (e.view.masks != 0).any(2)
+    decides = (e.inputs.masks != 0).any(2)
     random = trainer.worker.random_moves & decides
     assert 0.4 < random[decides].float().mean() < 0.6
-    assert not e.learned[random].any()
-    assert e.learned[:-2][decides[:-2] & ~random[:-2]].all()
-    middle = (e.view.masks[..., 3] == 1) & decides
+    assert not e.loss_mask[random].any()
+    assert e.loss_mask[:-2][decides[:-2] & ~random[:-2]].all()
+    middle = (e.inputs.masks[..., 3] == 1) & decides
     assert (e.actions[middle & ~random] == 3).all()
     assert (e.actions[middle & random] != 3).float().mean() > 0.6
     with torch.no_grad():
-        values = trainer.model.values(e.view.flat()).reshape(e.rewards.shape)
+        values = trainer.model.values(e.inputs.flat()).reshape(e.rewards.shape)
     expected = e.rewards[0] + e.rewards[1] + 0.9 * values[2] - values[0]
     before = decides[0] & ~random[0] & random[2] & ~e.ended[:2].any(0)
     assert before.sum() > 3
@@ -338,7 +353,7 @@ def test_random_moves_are_not_learned_from() -> None:
 
 def test_the_league_grows_and_is_kept_in_files(tmp_path: Path) -> None:
     settings = training.settings_for("self-play", "ConnectFour", {**SMALL, "join_every": 2, "iterations": 4})
-    rows = training.train("ConnectFour", {}, "self-play", settings, "native", tmp_path, evaluated=20)
+    rows = training.train(training.Training("ConnectFour", "self-play", settings), tmp_path, evaluated=20)
     past = {path.stem: trained.load(path).state_dict() for path in (tmp_path / "past").iterdir()}
     assert sorted(past) == ["000000", "000002", "000004"]
     last = trained.load(tmp_path).state_dict()
@@ -371,14 +386,15 @@ def test_a_team_learns_to_forage(tmp_path: Path) -> None:
     options = {"field_size": [5, 5], "max_num_food": 1, "max_player_level": 1, "max_food_level": 1}
     given = {
         "n_agents": 256,
-        "depth": 16,
+        "rollout_length": 16,
         "iterations": 25,
         "epochs": 2,
         "minibatch": 1024,
         "learning_rate": 5e-3,
     }
     settings = training.settings_for("mappo", "LevelBasedForaging", given)
-    rows = training.train("LevelBasedForaging", options, "mappo", settings, "native", tmp_path, evaluated=200)
+    plan = training.Training("LevelBasedForaging", "mappo", settings, options)
+    rows = training.train(plan, tmp_path, evaluated=200)
     best = max(row["eval_world_return"] for row in rows)
     assert best > 0.9
     policy = load_policy(str(tmp_path), get_spec("LevelBasedForaging").with_options(**options))

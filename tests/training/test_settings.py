@@ -22,7 +22,7 @@ Pearl = Callable[..., tuple[int, str, str]]
 
 SET = {
     "ppo": {
-        "depth=0": "a whole number from 1 to",
+        "rollout_length=0": "a whole number from 1 to",
         "epochs=0": "a whole number from 1 to",
         "minibatch=0": "a whole number from 1 to",
         "minibatch=-3": "a whole number from 1 to",
@@ -37,7 +37,7 @@ SET = {
         "learning_rate=high": "a number above 0 up to 1",
         "discount=1.5": "a number from 0 to 1",
         "discount=-0.1": "a number from 0 to 1",
-        "trace=NaN": "a number from 0 to 1",
+        "gae_lambda=NaN": "a number from 0 to 1",
         "clip=0": "a number above 0",
         "entropy=-1": "a number of at least 0",
         "entropy=Infinity": "a number of at least 0",
@@ -48,17 +48,17 @@ SET = {
     "dqn": {
         "memory=0": "a whole number from 1 to",
         "updates=0": "a whole number from 1 to",
-        "refresh=0": "a whole number from 1 to",
+        "target_update=0": "a whole number from 1 to",
         "warm_up=-1": "a whole number from 0 to",
-        "exploring=0": "a number above 0 up to 1",
-        "explore_first=2": "a number from 0 to 1",
+        "exploration_fraction=0": "a number above 0 up to 1",
+        "epsilon=2": "a number from 0 to 1",
     },
     "q-learning": {
         "learners=0": "a whole number from 1 to",
         "learners=5": "it must divide n_agents, 43008",
-        "rate=0": "a number above 0 up to 1",
+        "learning_rate=0": "a number above 0 up to 1",
         "epsilon=1.5": "a number from 0 to 1",
-        "fading=-1": "a number of at least 0",
+        "learning_rate_decay=-1": "a number of at least 0",
     },
 }
 PAGE = Path(__file__).parents[2] / "docs" / "training.md"
@@ -89,32 +89,47 @@ def test_the_page_lists_every_setting_with_its_default() -> None:
         assert sorted(rows) == sorted((f.name, str(f.default)) for f in dataclasses.fields(kind)), algorithm
 
 
-@pytest.mark.parametrize(
-    ("algorithm", "typed", "ours"),
-    [
-        ("ppo", "lr", "learning_rate"),
-        ("q-learning", "lr", "rate"),
-        ("q-learning", "learning_rate", "rate"),
-        ("dqn", "gamma", "discount"),
-        ("ppo", "gae_lambda", "trace"),
-        ("dqn", "epsilon", "explore_last"),
-        ("dqn", "batch-size", "minibatch"),
-    ],
-)
-def test_names_of_other_libraries(
-    pearl: Pearl, algorithm: str, typed: str, ours: str, tmp_path: Path
-) -> None:
-    given = ("CliffWalking", "--algo", algorithm, "--set", f"{typed}=0.5")
-    assert f"has no such setting; did you mean {ours!r}?" in refused(pearl, tmp_path, *given)
+RENAMED = {
+    "ppo": {"depth": "rollout_length", "trace": "gae_lambda", "chance": "temperature"},
+    "dqn": {
+        "refresh": "target_update",
+        "explore_first": "epsilon",
+        "explore_last": "final_epsilon",
+        "exploring": "exploration_fraction",
+        "chance": "evaluation_epsilon",
+    },
+    "q-learning": {"rate": "learning_rate", "fading": "learning_rate_decay"},
+}
 
 
-def test_every_name_of_other_libraries_is_of_use() -> None:
-    names = {
-        algorithm: {f.name for f in dataclasses.fields(kind)} for algorithm, kind in training.SETTINGS.items()
-    }
-    for typed, ours in training.USUAL.items():
-        assert any(typed not in has and has & set(ours) for has in names.values()), typed
-        assert set(ours) <= set().union(*names.values()), typed
+@pytest.mark.parametrize("algorithm", RENAMED)
+def test_earlier_names_warn(algorithm: str) -> None:
+    """For one version: the name of a setting says its successor, and does what it did."""
+    names = RENAMED[algorithm]
+    assert training.SETTINGS[algorithm].successors() == names
+    for old, new in names.items():
+        with pytest.warns(DeprecationWarning, match=f"the setting '{old}' is now '{new}'"):
+            settings = training.settings_for(algorithm, "CliffWalking", {old: 1})
+        assert settings == training.settings_for(algorithm, "CliffWalking", {new: 1})
+        with pytest.raises(ArgumentError, match=f"'{new}' is given twice, also as '{old}': give it once"):
+            training.settings_for(algorithm, "CliffWalking", {new: 1, old: 1})
+
+
+def test_the_earlier_class_warns() -> None:
+    q_learning = importlib.import_module("pearl_marl.training.q_learning")
+    with pytest.warns(DeprecationWarning, match="Settings is now QLearningSettings"):
+        old = q_learning.Settings
+    with pytest.warns(DeprecationWarning, match="the setting 'rate' is now 'learning_rate'"):
+        assert old(rate=0.25) == q_learning.QLearningSettings(learning_rate=0.25)
+    with pytest.raises(AttributeError, match="no attribute 'Setting'"):
+        _ = q_learning.Setting
+
+
+def test_the_command_says_new_names(pearl: Pearl, tmp_path: Path) -> None:
+    arguments = ("CliffWalking", "--algo", "q-learning", "--n-agents", 64, "--iterations", 1)
+    status, _, err = pearl("train", *arguments, "--set", "rate=0.25", "--out", tmp_path)
+    assert status == 0, err
+    assert "pearl: the setting 'rate' is now 'learning_rate'" in err
 
 
 @pytest.mark.parametrize(("algorithm", "given", "words"), CASES)
@@ -179,7 +194,7 @@ def test_shards(pearl: Pearl, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("algorithm", "given"),
     [
-        ("ppo", {"depth": 10**11}),
+        ("ppo", {"rollout_length": 10**11}),
         ("dqn", {"memory": 10**11}),
         ("dqn", {"minibatch": 10**12}),
         ("q-learning", {"n_agents": 2**31, "learners": 2**31}),
@@ -199,7 +214,7 @@ def test_settings_made_by_hand_are_checked_too(algorithm: str) -> None:
 
 def test_one_step_to_learn_from_leaves_finite_weights() -> None:
     """The last minibatch may be of one step, of which there is no deviation."""
-    settings = training.settings_for("ppo", "CartPole", {"n_agents": 1, "depth": 5, "minibatch": 2})
+    settings = training.settings_for("ppo", "CartPole", {"n_agents": 1, "rollout_length": 5, "minibatch": 2})
     trainer = training.ALGORITHMS["ppo"](get_spec("CartPole"), "native", settings)
     trainer.iterate()
     assert all(tensor.isfinite().all() for tensor in trainer.model.state_dict().values())
@@ -217,13 +232,16 @@ def test_the_setting_that_differs_is_named(pearl: Pearl, tmp_path: Path) -> None
         "--out",
         tmp_path,
     )
-    assert pearl("train", *arguments, "--set", "rate=0.25")[0] == 0
-    status, _, err = pearl("train", *arguments, "--set", "rate=0.5")
+    assert pearl("train", *arguments, "--set", "learning_rate=0.25")[0] == 0
+    status, _, err = pearl("train", *arguments, "--set", "learning_rate=0.5")
     assert status == 2
-    assert f"{tmp_path} holds a run with rate 0.25, not 0.5: " in err
+    assert f"{tmp_path} holds a run with learning_rate 0.25, not 0.5: " in err
     assert "give the same settings to go on with it, or another --out" in err
     longer = [100 if argument == 1 else argument for argument in arguments]
-    assert "holds a run with iterations 1, not 100: " in pearl("train", *longer, "--set", "rate=0.25")[2]
+    assert (
+        "holds a run with iterations 1, not 100: "
+        in pearl("train", *longer, "--set", "learning_rate=0.25")[2]
+    )
 
 
 def test_without_out_a_run_is_named_after_what_it_is(

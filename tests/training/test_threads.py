@@ -9,7 +9,7 @@ import torch
 
 from pearl_marl.registry import get_spec
 from pearl_marl.training.run import settings_for
-from pearl_marl.training.threads import threads_for
+from pearl_marl.training.trainer import threads_for
 
 
 @pytest.fixture(autouse=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import importlib
-import itertools
 import json
 import signal
 import subprocess
@@ -29,14 +28,14 @@ from ..sampling import sampled
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 training = importlib.import_module("pearl_marl.training.run")
 policy = importlib.import_module("pearl_marl.policies.trained")
-rollout = importlib.import_module("pearl_marl.training.rollout")
+trainers = importlib.import_module("pearl_marl.training.trainer")
 actor_critic = importlib.import_module("pearl_marl.training.actor_critic")
 
 EVALUATED = 50
 """A thousand episodes take longer than such training."""
 
 SMALL: dict[str, dict[str, Any]] = {
-    "ppo": {"n_agents": 32, "depth": 8, "iterations": 12, "minibatch": 64},
+    "ppo": {"n_agents": 32, "rollout_length": 8, "iterations": 12, "minibatch": 64},
     "dqn": {
         "n_agents": 16,
         "iterations": 40,
@@ -44,7 +43,7 @@ SMALL: dict[str, dict[str, Any]] = {
         "warm_up": 5,
         "updates": 2,
         "minibatch": 32,
-        "refresh": 9,
+        "target_update": 9,
     },
     "q-learning": {"n_agents": 64, "iterations": 40},
 }
@@ -75,9 +74,8 @@ def run(
     **given: Any,
 ) -> list[dict[str, Any]]:
     settings = training.settings_for(algorithm, env, given)
-    rows: list[dict[str, Any]] = training.train(
-        env, {}, algorithm, settings, "native", folder, goal, every, evaluated=evaluated
-    )
+    plan = training.Training(env, algorithm, settings, goal=goal, evaluate_every=every)
+    rows: list[dict[str, Any]] = training.train(plan, folder, evaluated)
     return rows
 
 
@@ -88,7 +86,7 @@ def test_q_learning_finds_the_shortest_way_along_the_cliff(seed: int, tmp_path: 
 
 
 def test_every_agent_can_learn_for_itself(tmp_path: Path) -> None:
-    given = {"n_agents": 200, "learners": 200, "rate": 1.0, "epsilon": 0.1, "iterations": 2500}
+    given = {"n_agents": 200, "learners": 200, "learning_rate": 1.0, "epsilon": 0.1, "iterations": 2500}
     rows = run("q-learning", "CliffWalking", tmp_path, every=2500, evaluated=200, **given)
     assert rows[-1]["eval_return"] == -13
     assert rows[-1]["eval_deviation"] == 0
@@ -131,7 +129,7 @@ def test_a_checkpoint_of_another_version_is_refused(tmp_path: Path) -> None:
 def test_returns_are_those_of_the_episodes_that_ended() -> None:
     """As ``EpisodeStatistics`` has them, which counts step by step."""
     random, n = np.random.default_rng(0), 7
-    ours, theirs = rollout.Returns(n, torch.device("cpu")), EpisodeStatistics(n)
+    ours, theirs = trainers.EpisodeReturns(n, torch.device("cpu")), EpisodeStatistics(n)
     for steps in (1, 5, 3, 40):
         rewards, ended = random.normal(size=(steps, n)).astype(np.float32), random.random((steps, n)) < 0.2
         ours.add(torch.from_numpy(rewards), torch.from_numpy(ended))
@@ -148,20 +146,27 @@ def test_returns_are_those_of_the_episodes_that_ended() -> None:
 
 def test_advantages_are_those_of_their_definition() -> None:
     """Weighted sums of errors up to the end of the episode; cut short, with what was to come."""
-    given = {"n_agents": 3, "depth": 250, "discount": 0.9, "trace": 0.7, "blocks": 2, "reward_scale": 0.5}
+    given = {
+        "n_agents": 3,
+        "rollout_length": 250,
+        "discount": 0.9,
+        "gae_lambda": 0.7,
+        "blocks": 2,
+        "reward_scale": 0.5,
+    }
     trainer = training.ALGORITHMS["ppo"](
         get_spec("Pendulum"), "native", training.settings_for("ppo", "Pendulum", given)
     )
-    first = trainer.worker.agents.obs
+    first = trainer.worker.agents.obs.clone()
     e = trainer.worker.gather(0)
-    assert torch.equal(e.view.obs[0], first)
+    assert torch.equal(e.inputs.obs[0], first)
     assert e.ended[199].all(), "an episode of Pendulum has 200 steps"
     assert e.ended.sum() == 3
     with torch.no_grad():
-        seen = [*e.view.obs, trainer.worker.agents.obs]
-        values = torch.stack([trainer.model.values(actor_critic.View(obs)) for obs in seen])
-        outputs = torch.stack([trainer.policy(obs) for obs in e.view.obs])
-    torch.testing.assert_close(e.logs, trainer.model.weigh(outputs, e.actions).logs)
+        seen = [*e.inputs.obs, trainer.worker.agents.obs]
+        values = torch.stack([trainer.model.values(actor_critic.Inputs(obs)) for obs in seen])
+        outputs = torch.stack([trainer.policy(obs) for obs in e.inputs.obs])
+    torch.testing.assert_close(e.log_probs, trainer.model.evaluate(outputs, e.actions)[0])
     wanted = torch.zeros(3)
     for t in reversed(range(250)):
         if t == 199:  # the last reward's successor is not in the rollout: what counts is known otherwise
@@ -252,11 +257,13 @@ import torch
 torch.set_num_threads(1)
 algorithm, env, folder, given = sys.argv[1], sys.argv[2], Path(sys.argv[3]), eval(sys.argv[4])
 settings = training.settings_for(algorithm, env, given)
-def slow(done, total, row):
-    print(done, flush=True)
-    time.sleep(0.05)
-arguments = {"progress": slow, "checkpoint_seconds": 0.2, "evaluated": 50}
-training.train(env, {}, algorithm, settings, "native", folder, **arguments)
+plan = training.Training(env, algorithm, settings)
+run = training.TrainingRun(plan, folder, evaluated=50, checkpoint_seconds=0.2)
+with run.claimed():
+    while not run.finished:
+        if run.iterate():
+            print(run.trainer.done, flush=True)
+            time.sleep(0.05)
 """
 
 
@@ -293,15 +300,19 @@ def test_a_stopped_run_goes_on_as_if_nothing_had_been(tmp_path: Path) -> None:
     """Wherever it is stopped: also between evaluations, long before a checkpoint is due."""
     whole = run("ppo", "FrozenLake", tmp_path / "whole", every=4, **SMALL["ppo"])
     settings = training.settings_for("ppo", "FrozenLake", SMALL["ppo"])
-    done = itertools.count(1)
-    for last in (3, 1):
+    plan = training.Training("FrozenLake", "ppo", settings, evaluate_every=4)
+
+    def stopped_after(iterations: int) -> None:
+        stopped = training.TrainingRun(plan, tmp_path / "stopped", evaluated=EVALUATED)
+        with stopped.claimed():
+            for _ in range(iterations):
+                stopped.iterate()
+            stopped.keep()
+            raise KeyboardInterrupt
+
+    for iterations in (3, 1):
         with pytest.raises(KeyboardInterrupt):
-            training.train(
-                *("FrozenLake", {}, "ppo", settings, "native", tmp_path / "stopped"),
-                evaluate_every=4,
-                evaluated=EVALUATED,
-                stopped=lambda last=last: next(done) >= last,  # type: ignore[misc]
-            )
+            stopped_after(iterations)
     rows = run("ppo", "FrozenLake", tmp_path / "stopped", every=4, **SMALL["ppo"])
     timeless = [[{**row, "seconds": 0} for row in part] for part in (whole, rows)]
     assert timeless[0] == timeless[1]
@@ -330,7 +341,7 @@ def same(one: Any, other: Any) -> bool:
     [
         ("sarsa", {}, "'sarsa'.*'ppo', 'mappo', 'self-play', 'dqn', 'q-learning', 'ippo', 'iql'"),
         ("ppo", {"n_agent": 5}, "--set n_agent: .*'n_agents'"),
-        ("ppo", {"depth": 1.5}, "--set depth is 1.5"),
+        ("ppo", {"rollout_length": 1.5}, "--set rollout_length is 1.5"),
         ("dqn", {"discount": -1}, "--set discount is -1"),
         ("q-learning", {"n_agents": 10, "learners": 3}, "'learners' is 3; it must divide n_agents, 10"),
         ("dqn", {"discount": "high"}, "--set discount is 'high'"),

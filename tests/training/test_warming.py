@@ -13,9 +13,9 @@ from pearl_marl.training.warming import warm_training
 @pytest.mark.parametrize(
     ("algorithm", "env_id", "given"),
     [
-        ("ppo", "Pendulum", {"depth": 2}),
-        ("ppo", "LevelBasedForaging", {"depth": 2}),
-        ("mappo", "LevelBasedForaging", {"depth": 2}),
+        ("ppo", "Pendulum", {"rollout_length": 2}),
+        ("ppo", "LevelBasedForaging", {"rollout_length": 2}),
+        ("mappo", "LevelBasedForaging", {"rollout_length": 2}),
         ("dqn", "Blackjack", {"warm_up": 0}),
     ],
 )

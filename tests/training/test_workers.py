@@ -26,7 +26,7 @@ distributed = importlib.import_module("pearl_marl.training.workers")
 
 pytestmark = pytest.mark.usefixtures("ray_cluster")
 
-SMALL = {"n_agents": 16, "depth": 70, "iterations": 3, "minibatch": 256}
+SMALL = {"n_agents": 16, "rollout_length": 70, "iterations": 3, "minibatch": 256}
 """Of Pendulum, whose episodes of 200 steps are cut short in the last rollout."""
 
 
@@ -106,14 +106,18 @@ def test_what_cannot_be_shared_is_refused(tmp_path: Path) -> None:
         trainer(None, n_agents=5)
 
 
-def run(folder: Path, shards: int | None, show: Callable[..., None] = lambda *_: None) -> None:
+def run(folder: Path, shards: int | None, show: Callable[[int], None] = lambda _: None) -> None:
     """Train ten iterations, unless the folder has some of them."""
     torch.set_num_threads(1)
     settings = training.settings_for(
         "ppo", "CartPole", {"n_agents": 64, "iterations": 10, "blocks": 8}, shards
     )
-    arguments = {"checkpoint_seconds": 0.0, "evaluated": 50, "shards": shards, "progress": show}
-    training.train("CartPole", {}, "ppo", settings, "native", folder, evaluate_every=2, **arguments)
+    plan = training.Training("CartPole", "ppo", settings, evaluate_every=2)
+    run = training.TrainingRun(plan, folder, shards, evaluated=50, checkpoint_seconds=0.0)
+    with run.claimed():
+        while not run.finished:
+            if run.iterate():
+                show(run.trainer.done)
 
 
 DRIVER = """
@@ -121,7 +125,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from tests.training.test_workers import run
-run(Path(sys.argv[2]), 2, lambda done, total, row: print('done', done, flush=True))
+run(Path(sys.argv[2]), 2, lambda done: print('done', done, flush=True))
 """
 
 

@@ -16,8 +16,7 @@ import pearl_marl
 from pearl_marl import wrappers
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.errors import ArgumentError, OrderError, SavedStateError
-from pearl_marl.interfaces.agent_dict import _UnfilledAgentDict
-from pearl_marl.interfaces.filling import FEW
+from pearl_marl.interfaces.agent_dict import FEW, _UnfilledAgentDict
 from pearl_marl.testing.case import assert_same_step, assert_same_trajectory, trajectory
 
 pytestmark = pytest.mark.usefixtures("toys")
@@ -163,7 +162,7 @@ class TestSavedStates:
         env.reset(seed=1)
         for act in actions("Drift", 8):
             last = env.step_batch(act)
-        assert 0 < env.unwrapped.live.sum() < N
+        assert 0 < env.unwrapped.present.sum() < N
         blob, again = env.save_state(), make()
         np.testing.assert_array_equal(again.load_state(blob), last.obs)
         assert again.agents == env.agents == env.possible_agents
@@ -369,7 +368,7 @@ class TestArguments:
 
     @pytest.mark.parametrize("scale", ["2", np.ones(2), 0, np.inf], ids=repr)
     def test_scales(self, scale: Any) -> None:
-        with pytest.raises(ArgumentError, match=r"scale is .*; it must be a positive number"):
+        with pytest.raises(ArgumentError, match=r"scale is .*; it must be a number above 0"):
             wrappers.scale_actions_v0(pearl_marl.parallel_env("Pendulum", 2), scale)
 
     def test_rewards_of_the_wrong_shape(self) -> None:

@@ -120,7 +120,7 @@ class TestHistories:
                     break
                 # What an array holds for agents that left does not matter.
                 act = act.astype(np.float64 if act.dtype.kind == "f" else np.int64)
-                act[~plain.live] = 99
+                act[~plain.present] = 99
                 (shown, *mine), (obs, *other) = env.step(act), plain.step(act)
                 for agent, o in obs.items():
                     frames[agent].append(o)
@@ -409,7 +409,7 @@ def test_actions_of_agents_that_left_are_ignored(wrap: Any) -> None:
     twin.reset(seed=0)
     for act in actions("Drift"):
         given = act.astype(np.int64)
-        given[~env.unwrapped.live] = 99
+        given[~env.unwrapped.present] = 99
         mine, other = env.step(given), twin.step({agent: act[int(agent[6:])] for agent in twin.agents})
         np.testing.assert_equal([dict(part) for part in mine], [dict(part) for part in other])
         if not env.agents:

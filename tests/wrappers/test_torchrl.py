@@ -85,14 +85,14 @@ def test_episodes_are_those_of_the_environment(name: str, options: dict[str, Any
     before = env.reset()
     ends = {"terminated": 0, "truncated": 0, "alone": 0}
     for _ in range(60):
-        assert_seen(before, groups, obs, plain.action_masks, plain.alive)
-        acting = plain.alive.copy()
+        assert_seen(before, groups, obs, plain.action_masks, plain.in_episode)
+        acting = plain.in_episode.copy()
         env.rand_action(before)
         actions = np.concatenate(rows(before, groups, "action"), 1)
         step = plain.step_batch(actions.reshape(n * k, *actions.shape[2:]))
         after, before = env.step_and_maybe_reset(before)
         after = after["next"]
-        over = step.ended.reshape(n, k).any(1) & step.alive.reshape(n, k).all(1)
+        over = step.ended.reshape(n, k).any(1) & step.in_episode.reshape(n, k).all(1)
         np.testing.assert_array_equal(after["done"][:, 0], over)
         last = np.where(step.ended.reshape(-1, *(1,) * (obs.ndim - 1)), step.final_obs, step.obs)
         last[~acting] = 0
@@ -114,20 +114,20 @@ def test_episodes_are_those_of_the_environment(name: str, options: dict[str, Any
         )
         ends["terminated"] += int(after["terminated"].sum())
         ends["truncated"] += int(truncated.sum())
-        ends["alone"] += int((step.ended & ~step.alive).sum())
+        ends["alone"] += int((step.ended & ~step.in_episode).sum())
         obs = step.obs
     assert ends["terminated"]
     assert bool(ends["truncated"]) is ("max_cycles" in options)
     assert bool(ends["alone"]) is (name in ("Meadow", "Crowd"))
 
 
-def assert_seen(tensordict: Any, groups: list[str], obs: Any, masks: Any, alive: Any) -> None:
-    assert_observed(tensordict, groups, obs, alive)
+def assert_seen(tensordict: Any, groups: list[str], obs: Any, masks: Any, in_episode: Any) -> None:
+    assert_observed(tensordict, groups, obs, in_episode)
     if masks is not None:
         n = len(tensordict)
         expected = masks.astype(bool)
         expected[~expected.any(1), 0] = True
-        expected[~alive] = [True] + [False] * (masks.shape[1] - 1)
+        expected[~in_episode] = [True] + [False] * (masks.shape[1] - 1)
         assert_wide(rows(tensordict, groups, "action_mask"), expected.reshape(n, -1, masks.shape[1]))
     assert not tensordict["done"].any()
 

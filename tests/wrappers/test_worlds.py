@@ -63,7 +63,7 @@ def played(env: Any, steps: int = 40, plain: Any = None) -> Iterator[tuple[Batch
     plain.reset_batch(5)
     env.reset_batch(5)
     for t in range(steps):
-        acting, actions = plain.alive.copy(), chosen(plain, t)
+        acting, actions = plain.in_episode.copy(), chosen(plain, t)
         yield env.step_batch(actions), plain.step_batch(actions), acting
 
 
@@ -88,16 +88,16 @@ def test_each_agent_by_itself(wrap: Any, change: Any) -> None:
     dead, ended = 0, 0
     for ours, theirs, _ in played(env):
         expected = change(theirs.obs)
-        expected[~theirs.alive] = 0
+        expected[~theirs.in_episode] = 0
         np.testing.assert_allclose(ours.obs, expected)
-        np.testing.assert_array_equal(ours.alive, theirs.alive)
+        np.testing.assert_array_equal(ours.in_episode, theirs.in_episode)
         np.testing.assert_array_equal(ours.action_masks, theirs.action_masks)
         now = theirs.ended
         np.testing.assert_allclose(ours.final_obs[now], change(theirs.final_obs)[now])
         for name in ("rewards", "terminations", "truncations"):
             np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
-        dead += (~theirs.alive).sum()
-        ended += (now & theirs.alive).sum()
+        dead += (~theirs.in_episode).sum()
+        ended += (now & theirs.in_episode).sum()
     assert dead
     assert ended
 
@@ -107,7 +107,7 @@ def test_a_stack_begins_again_with_its_world() -> None:
     env = wrappers.frame_stack_v2(crowded(), 3)
     frames = None
     for ours, theirs, _acting in played(env):
-        begins = np.repeat(theirs.ended.reshape(-1, K).any(1) & theirs.alive.reshape(-1, K).all(1), K)
+        begins = np.repeat(theirs.ended.reshape(-1, K).any(1) & theirs.in_episode.reshape(-1, K).all(1), K)
         arrived = np.where(theirs.ended[:, None], theirs.final_obs, theirs.obs)
         if frames is None:
             frames = [None, None, None]
@@ -244,15 +244,15 @@ def test_observations_of_the_world() -> None:
     alone = together = 0
     for ours, theirs, acting in played(env):
         expected = theirs.obs.reshape(-1, K, 2).repeat(K, 0)
-        expected[~theirs.alive] = 0
+        expected[~theirs.in_episode] = 0
         np.testing.assert_array_equal(ours.obs, expected)
         last = np.where(theirs.ended[:, None], theirs.final_obs, theirs.obs)
         last[~acting] = 0
         finals = last.reshape(-1, K, 2).repeat(K, 0)
         now = theirs.ended
         np.testing.assert_array_equal(ours.final_obs[now], finals[now])
-        alone += (now & ~theirs.alive).sum()
-        together += (now & theirs.alive & ~acting.reshape(-1, K).all(1).repeat(K)).sum()
+        alone += (now & ~theirs.in_episode).sum()
+        together += (now & theirs.in_episode & ~acting.reshape(-1, K).all(1).repeat(K)).sum()
     assert alone
     assert together
 
@@ -272,7 +272,7 @@ def test_frame_skip_is_single_steps() -> None:
             step = plain.step_batch(actions)
             rewards += np.where(over, 0, step.rewards)
             ended |= step.ended & ~over
-            over |= np.repeat(step.ended.reshape(-1, K).any(1) & step.alive.reshape(-1, K).all(1), K)
+            over |= np.repeat(step.ended.reshape(-1, K).any(1) & step.in_episode.reshape(-1, K).all(1), K)
             if over.all():
                 break
         if started:
@@ -281,9 +281,9 @@ def test_frame_skip_is_single_steps() -> None:
         np.testing.assert_array_equal(skipping.state(), plain.state())
         np.testing.assert_array_equal(skipped.rewards, rewards)
         np.testing.assert_array_equal(skipped.ended, ended)
-        np.testing.assert_array_equal(skipped.alive, plain.alive)
+        np.testing.assert_array_equal(skipped.in_episode, plain.in_episode)
         np.testing.assert_array_equal(skipped.action_masks, plain.action_masks)
-        died += (ended & ~plain.alive).sum()
+        died += (ended & ~plain.in_episode).sum()
         began += over.sum()
     assert died
     assert began
@@ -315,8 +315,8 @@ def test_black_death_masks_who_has_left() -> None:
     while env.agents:
         observations, *_ = env.step(dict.fromkeys(env.agents, 0))
         for agent in env.agents:
-            slot = env.slots[agent]
-            if not env.unwrapped.live[slot]:
+            slot = env.rows[agent]
+            if not env.unwrapped.present[slot]:
                 left += 1
                 assert not observations[agent]["action_mask"].any()
     assert left
@@ -326,7 +326,7 @@ def test_normalisation_counts_nobody_who_is_dead() -> None:
     env = wrappers.normalize_observation_v0(crowded())
     seen = [crowded().reset_batch(5)]
     for _, theirs, _ in played(env):
-        seen.append(theirs.obs[theirs.alive])
+        seen.append(theirs.obs[theirs.in_episode])
     rows = np.concatenate(seen)
     statistics = env.transform.statistics()
     np.testing.assert_allclose(statistics["mean"], rows.mean(0), rtol=1e-4)
@@ -336,7 +336,7 @@ def test_normalisation_counts_nobody_who_is_dead() -> None:
 def test_saved_states_of_wrapped_worlds() -> None:
     env, fresh = (wrappers.frame_stack_v1(crowded(), 2) for _ in range(2))
     env.reset_batch(0)
-    while env.alive.all():
+    while env.in_episode.all():
         last = env.step_batch(chosen(env, 0))
     np.testing.assert_array_equal(fresh.load_state(env.save_state()), last.obs)
 
@@ -348,15 +348,15 @@ class TestStableBaselines3:
         np.testing.assert_array_equal(env.reset(), plain.reset_batch(5))
         revived, lengths = 0, np.zeros(N, int)
         for t in range(60):
-            acting, actions = plain.alive.copy(), chosen(plain, t)
+            acting, actions = plain.in_episode.copy(), chosen(plain, t)
             step = plain.step_batch(actions)
             _, _, dones, infos = env.step(actions)
-            np.testing.assert_array_equal(dones, step.ended | (~acting & step.alive))
+            np.testing.assert_array_equal(dones, step.ended | (~acting & step.in_episode))
             lengths += acting
             for slot in np.flatnonzero(step.ended).tolist():
                 assert infos[slot]["episode"]["l"] == lengths[slot]
                 lengths[slot] = 0
-            revived += (~acting & step.alive).sum()
+            revived += (~acting & step.in_episode).sum()
             assert all(not infos[slot] for slot in np.flatnonzero(~step.ended))
         assert revived
 

@@ -18,9 +18,10 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from pearl_marl.cache import cache_folder, checksum, keep, kept, locked, replace
-from pearl_marl.devices.simulator import pyverilator_mends
+from pearl_marl.cache import cache_folder, checksum, keep, kept, locked
+from pearl_marl.devices.simulator import pyverilator_model
 from pearl_marl.errors import DeviceError
+from pearl_marl.files import write_whole
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import MemoryMap
@@ -33,7 +34,7 @@ _IN_ONE_PIECE = "+define+PEARL_MEMORIES_IN_ONE_PIECE"
 _VERILATOR = ("-O3", "--flatten", "--x-assign", "fast", "--x-initial", "fast", _IN_ONE_PIECE)
 # Signals of more than 256 bits would be left out otherwise.
 _TRACED = ("--trace", "--trace-max-width", "65536", "--public-flat-rw")
-# The library is loaded as one piece, and nobody replaces its functions: calls within it are direct.
+# The library is loaded as one piece, and none of its functions is replaced: calls within it are direct.
 _FAST = "-O3 -march=native -fno-semantic-interposition"
 _LIBRARY = "OPT_GLOBAL=-O1"
 _MAKE = (f"OPT_FAST={_FAST}", "OPT_SLOW=-O0", _LIBRARY, "LDFLAGS=-shared")
@@ -49,7 +50,7 @@ _LIGHT_MAKE = (
     *_MAKE[1:],
     "VM_PARALLEL_BUILDS=0",
     "VM_SLOW=$(VM_CLASSES_SLOW) $(VM_SUPPORT_SLOW) pyverilator_wrapper",
-    f"VK_USER_OBJS=V{pyverilator_mends.TOP}__ALL.o",
+    f"VK_USER_OBJS=V{pyverilator_model.TOP}__ALL.o",
     "VK_OBJS=",
 )
 _CHECKSUM = "checksum"
@@ -84,7 +85,7 @@ def library(build: Build, traced: bool = False, pipelined: bool = True) -> Path:
     ]
     sources = elaboration.sources(spec, engine=layout.engine)
     code = _columns(layout) + _CODE.read_text("utf-8")
-    texts = [code, *(path.read_text("utf-8") for path in (*sources, Path(pyverilator_mends.__file__)))]
+    texts = [code, *(path.read_text("utf-8") for path in (*sources, Path(pyverilator_model.__file__)))]
     digest = _digest(_tools(), arguments, make, traced, texts)
     folder = cache_folder("rtl", ROOM)
     title = f"{spec.name}-{layout.n_envs}-{layout.pe_num}-{layout.data_wl}{'' if pipelined else '-serial'}"
@@ -119,11 +120,11 @@ def _build(entry: Path, arguments: list[str], code: str, traced: bool, light: bo
         work, result = scratch / "work", scratch / "result"
         work.mkdir()
         result.mkdir()
-        pyverilator_mends.generate(work, arguments, code, traced)
+        pyverilator_model.generate(work, arguments, code, traced)
         common = entry.parent / f"verilated-{_digest(_tools(), _LIBRARY, _LIGHT, _HEADERS)}"
         _lend(common, work)
         jobs = len(os.sched_getaffinity(0))
-        make = ["make", "-C", str(work), "-f", f"V{pyverilator_mends.TOP}.mk", f"-j{jobs}"]
+        make = ["make", "-C", str(work), "-f", f"V{pyverilator_model.TOP}.mk", f"-j{jobs}"]
         if light:
             make += _LIGHT_MAKE
             headers = _compiled_headers(common, work, [*make, f"OPT_FAST={_LIGHT}"], traced)
@@ -131,7 +132,7 @@ def _build(entry: Path, arguments: list[str], code: str, traced: bool, light: bo
         else:
             toolchain.run([*make, *_MAKE])
         _keep(work, common)
-        built = (work / f"V{pyverilator_mends.TOP}").rename(result / "model.so")
+        built = (work / f"V{pyverilator_model.TOP}").rename(result / "model.so")
         (result / _CHECKSUM).write_bytes(checksum(built.read_bytes()))
         result.rename(entry)
     except OSError as error:
@@ -161,7 +162,7 @@ def _compiled_headers(common: Path, work: Path, make: Sequence[str], traced: boo
         toolchain.run([*make, f"{headers.name}.fast.gch"])
         content = (work / f"{headers.name}.fast.gch").read_bytes()
         for path, text in ((headers, _HEADERS.encode()), (compiled, content), (beside, checksum(content))):
-            replace(path, text)
+            write_whole(path, text)
     return headers
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pearl_marl.devices.simulator import pyverilator_mends
+from pearl_marl.devices.simulator import pyverilator_model
 from pearl_marl.devices.transport import Exchange, Transport
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware.codec import Stream
@@ -35,7 +35,7 @@ class Simulation(Transport):
     """
 
     def __init__(self, built: Path, layout: MemoryMap, backdoor: bool, trace: str | None) -> None:
-        self._model = pyverilator_mends.load(built)
+        self._model = pyverilator_model.load(built)
         self._functions = _declared(self._model.lib)
         self._traced = trace is not None
         if trace is not None:
@@ -96,11 +96,11 @@ class Simulation(Transport):
 
     def peek(self, signal: str) -> int:
         """Return the present value of a signal, by its name in the hierarchy under ``pearl_top``."""
-        found = self._model.all_signals.get(tuple(signal.split(".")))
+        found: int | None = self._model.value(signal)
         if found is None:
             how = "" if self._traced else "; open the device with trace= to keep every signal"
             raise DeviceError(f"the simulated device has no signal {signal!r}{how}")
-        return int(found.value)
+        return found
 
     def close(self) -> None:
         """End the simulation, and the waveform file."""

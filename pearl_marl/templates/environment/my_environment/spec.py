@@ -1,7 +1,7 @@
 """The spec of MyEnvironment: what the platform has to know besides ``step.py``."""
 
 from gymnasium.spaces import Discrete
-from pearl_marl.errors import ArgumentError
+from pearl_marl.checks import checked_integer
 from pearl_marl.spec import EnvSpec, Golden
 
 from .step import State, initial, make_step, observe
@@ -15,8 +15,7 @@ def configure(slip: int = 1) -> EnvSpec:
     slip
         Of eight steps, how many the robot stays where it is, on average.
     """
-    if isinstance(slip, bool) or not isinstance(slip, int) or not 0 <= slip <= 7:
-        raise ArgumentError(f"slip is {slip!r}; it must be an integer from 0 to 7")
+    slip = checked_integer("slip", slip, 0, 7)
     return EnvSpec(
         name="MyEnvironment",
         version=0,  # a new one for every change of the dynamics

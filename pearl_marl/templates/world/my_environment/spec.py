@@ -2,7 +2,7 @@
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete
-from pearl_marl.errors import ArgumentError
+from pearl_marl.checks import checked_integer
 from pearl_marl.spec import EnvSpec, Golden
 
 from .step import AGENTS, GOAL, State, View, initial, make_step, masks, observe
@@ -16,8 +16,7 @@ def configure(slip: int = 1) -> EnvSpec:
     slip
         Of eight steps, how many the cart stays where it is, on average.
     """
-    if isinstance(slip, bool) or not isinstance(slip, int) or not 0 <= slip <= 7:
-        raise ArgumentError(f"slip is {slip!r}; it must be an integer from 0 to 7")
+    slip = checked_integer("slip", slip, 0, 7)
     return EnvSpec(
         name="MyEnvironment",
         version=0,  # a new one for every change of the dynamics

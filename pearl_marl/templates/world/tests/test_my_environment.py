@@ -1,11 +1,11 @@
 """MyEnvironment: the contract that every environment keeps, and its own rules."""
 
-import random
+from functools import partial
 
+import numpy as np
 import pytest
 from pearl_marl import get_spec
-from pearl_marl.golden import Draws
-from pearl_marl.testing import ContractSuite
+from pearl_marl.testing import ContractSuite, Outcome, compare_steps, one_by_one
 
 from my_environment.step import AGENTS, State, masks
 
@@ -19,40 +19,37 @@ class TestContract(ContractSuite):
     devices = ("native", "rtl")
 
 
-def expected(
-    slip: int, cell: int, strengths: list[int], actions: list[int], eighth: int
-) -> tuple[State, list[float], bool]:
+def expected(slip: int, state: State, actions: list[int], draws: list[int]) -> Outcome:
     """Say the rules a second time, as one would tell them: the oracle.
 
-    Where somebody else's implementation exists, compare with that one instead.
+    Where somebody else's implementation exists, compare with that one instead. The upper three bits of a
+    draw are an eighth of all that there are.
     """
+    cell, strengths = state.cell, state.strengths
     pulls = [action if strength else 0 for strength, action in zip(strengths, actions, strict=True)]
     balance = pulls.count(2) - pulls.count(1)
-    if balance and eighth >= slip:
+    if balance and draws[0] >> 29 >= slip:
         cell += 1 if balance > 0 else -1
     cell = min(max(cell, 0), 15)
     after = [
         strength - 1 if pull else min(strength + 1, 3)
         for strength, pull in zip(strengths, pulls, strict=True)
     ]
-    rewards = [{0: -20.0, 15: 20.0}.get(cell, -1.0 if pull else 0.0) for pull in pulls]
-    return State(cell, after), rewards, cell in (0, 15)
+    return Outcome(
+        observations=[(cell, strength) for strength in after],
+        rewards=[{0: -20.0, 15: 20.0}.get(cell, -1.0 if pull else 0.0) for pull in pulls],
+        terminated=[cell in (0, 15)] * AGENTS,
+        masks=[(True, strength > 0, strength > 0) for strength in after],
+    )
 
 
 @pytest.mark.parametrize("slip", [0, 1, 7])
-def test_many_states_actions_and_draws(slip: int) -> None:
+def test_many_states_and_actions(slip: int) -> None:
+    """Any of each, by the draws of the device."""
     spec = get_spec(ENVIRONMENT).with_options(slip=slip)
-    assert spec.rewards is not None
-    chance = random.Random(slip)
-    for _ in range(2000):
-        cell, eighth = chance.randrange(16), chance.randrange(8)
-        strengths = [chance.randrange(4) for _ in range(AGENTS)]
-        actions = [chance.randrange(3) for _ in range(AGENTS)]
-        # One random draw of 32 bits; the upper three are an eighth of all that there are.
-        draws = Draws([(eighth << 29) + 12345])
-        state, rewards, ends = spec.golden.step(State(cell, strengths), actions, draws)
-        due, worth, end = expected(slip, cell, strengths, actions, eighth)
-        assert (state, [spec.rewards[reward] for reward in rewards], ends) == (due, worth, [end] * AGENTS)
+    generator = np.random.default_rng(slip)
+    states = [generator.integers(*field.range, size=2000, endpoint=True) for field in spec.state]
+    compare_steps(spec, one_by_one(spec, partial(expected, slip)), states, seed=slip)
 
 
 def test_who_is_tired_may_only_rest() -> None:

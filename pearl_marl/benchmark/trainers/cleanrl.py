@@ -1,0 +1,194 @@
+"""PPO as CleanRL writes it, on EnvPool: one file from top to bottom, and nothing hidden.
+
+Written after the algorithm of CleanRL's ``ppo_atari_envpool.py`` (Huang et al., 2022, JMLR 23:274), with its
+details: orthogonal weights, Adam with an epsilon of 1e-5, a learning rate that falls evenly, advantages
+normalised in each minibatch, gradients clipped. The step in which an environment starts over counts like any
+other, and a time limit is an end like any other. As with ours, values are not clipped (its
+``--no-clip-vloss``) and their squared errors have a weight of 1/2 (its ``--vf-coef 1``).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+import torch
+from gymnasium.spaces import Discrete
+from torch import Tensor, nn
+from torch.distributions import Categorical
+
+from pearl_marl.benchmark.peers import quiet_spaces
+from pearl_marl.benchmark.training import TrainingTask
+from pearl_marl.benchmark.watch import Watch
+from pearl_marl.registry import get_spec
+
+
+class Normalised:
+    """Standardises vectors by the statistics of all before, as Gymnasium's wrapper does."""
+
+    def __init__(self, size: int) -> None:
+        self.mean, self.variance, self.count = np.zeros(size), np.ones(size), 1e-4
+
+    def update(self, obs: npt.NDArray[Any]) -> None:
+        """Add a batch to the statistics."""
+        mean, variance, rows = obs.mean(0), obs.var(0), len(obs)
+        total, change = self.count + rows, mean - self.mean
+        squares = self.variance * self.count + variance * rows + change**2 * self.count * rows / total
+        self.mean, self.variance, self.count = self.mean + change * rows / total, squares / total, total
+
+    def __call__(self, obs: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return a batch standardised."""
+        scaled: npt.NDArray[Any] = (obs - self.mean) / np.sqrt(self.variance + 1e-8)
+        return scaled.clip(-10, 10).astype(np.float32)
+
+
+def layer(inputs: int, outputs: int, deviation: float = math.sqrt(2)) -> nn.Linear:
+    """Return a linear layer with orthogonal weights."""
+    made = nn.Linear(inputs, outputs)
+    nn.init.orthogonal_(made.weight, deviation)
+    nn.init.zeros_(made.bias)
+    return made
+
+
+class Channels(nn.Module):
+    """Moves the channels of pictures to the front."""
+
+    def forward(self, pictures: Tensor) -> Tensor:
+        """Return the pictures with channels first."""
+        return pictures.permute(0, 3, 1, 2)
+
+
+class Agent(nn.Module):
+    """Actor and critic: separate for vectors and numbers, with a shared convolution for pictures."""
+
+    def __init__(self, shape: tuple[int, ...], actions: int, width: int) -> None:
+        super().__init__()
+        if len(shape) == 3:
+            height, breadth, channels = shape
+            self.shared: nn.Module = nn.Sequential(
+                *(Channels(), nn.Conv2d(channels, 16, 3), nn.ReLU(), nn.Flatten()),
+                *(layer(16 * (height - 2) * (breadth - 2), width), nn.ReLU()),
+                *(layer(width, width), nn.ReLU()),
+            )
+            self.actor: nn.Module = layer(width, actions, 0.01)
+            self.critic: nn.Module = layer(width, 1, 1.0)
+            return
+        self.shared = nn.Identity()
+        self.actor, self.critic = (
+            nn.Sequential(
+                *(layer(shape[0], width), nn.Tanh(), layer(width, width), nn.Tanh()),
+                layer(width, outputs, deviation),
+            )
+            for outputs, deviation in ((actions, 0.01), (1, 1.0))
+        )
+
+    def value(self, obs: Tensor) -> Tensor:
+        """Return what the critic expects."""
+        values: Tensor = self.critic(self.shared(obs))
+        return values[:, 0]
+
+    def forward(self, obs: Tensor, actions: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return actions, drawn unless given, their log-probabilities, entropies, and values."""
+        features = self.shared(obs)
+        chances = Categorical(logits=self.actor(features))
+        if actions is None:
+            actions = chances.sample()  # type: ignore[no-untyped-call]
+        logs = chances.log_prob(actions)  # type: ignore[no-untyped-call]
+        return actions, logs, chances.entropy(), self.critic(features)[:, 0]  # type: ignore[no-untyped-call]
+
+
+def environments(task: TrainingTask, n: int, seed: int) -> Any:
+    """Return EnvPool's environments, or MinAtar's own through Gymnasium where EnvPool has no such game."""
+    oracle = get_spec(task.env_id).oracle or ""
+    if "MinAtar" not in oracle:
+        from . import envpool_agents
+
+        return envpool_agents.environments(task.env_id, n, seed)
+    envs = gymnasium.make_vec(oracle, num_envs=n, vectorization_mode="sync")
+    envs.reset(seed=seed)
+    return envs
+
+
+def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
+    """Train until the watch says that it is over."""
+    n, depth, width = settings.n_agents, settings.rollout_length, settings.width
+    batch = n * depth
+    torch.manual_seed(settings.seed)
+    rng = np.random.default_rng(settings.seed)
+    envs = environments(task, n, settings.seed)
+    with quiet_spaces():
+        space: Any = getattr(envs, "single_observation_space", None) or envs.observation_space
+        actions_space: Any = getattr(envs, "single_action_space", None) or envs.action_space
+    update = None
+    if isinstance(space, Discrete):
+        rows, shape = np.eye(int(space.n), dtype=np.float32), (int(space.n),)
+        prepared: Any = rows.__getitem__
+    elif len(space.shape) == 3:
+        shape, prepared = space.shape, lambda obs: obs.astype(np.float32)
+    else:
+        shape, prepared = space.shape, Normalised(space.shape[0])
+        update = prepared.update
+    agent = Agent(shape, int(actions_space.n), width)
+    optimiser = torch.optim.Adam(agent.parameters(), lr=settings.learning_rate, eps=1e-5)
+
+    obs = torch.zeros((depth, n, *shape))
+    actions = torch.zeros((depth, n), dtype=torch.int64)
+    logs, rewards, dones, values = (torch.zeros((depth, n)) for _ in range(4))
+    observed = envs.reset()[0]
+    if update:
+        update(observed)
+    next_obs, next_done = torch.from_numpy(prepared(observed)), torch.zeros(n)
+
+    def choose(observations: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        with torch.no_grad():
+            best = agent.actor(agent.shared(torch.from_numpy(prepared(observations)))).argmax(1)
+        found: npt.NDArray[Any] = best.numpy()
+        return found
+
+    watch.start()
+    for iteration in range(settings.iterations):
+        optimiser.param_groups[0]["lr"] = settings.learning_rate * (1 - iteration / settings.iterations)
+        for t in range(depth):
+            obs[t], dones[t] = next_obs, next_done
+            with torch.no_grad():
+                actions[t], logs[t], _, values[t] = agent(next_obs)
+            taken = actions[t].numpy().astype(actions_space.dtype)
+            observed, reward, terminations, truncations, _ = envs.step(taken)
+            if update:
+                update(observed)
+            rewards[t] = torch.from_numpy(np.asarray(reward, np.float32)) * settings.reward_scale
+            next_obs = torch.from_numpy(prepared(observed))
+            next_done = torch.from_numpy((terminations | truncations).astype(np.float32))
+
+        with torch.no_grad():
+            following, done, gain = agent.value(next_obs), next_done, torch.zeros(n)
+            gains = torch.zeros((depth, n))
+            for t in reversed(range(depth)):
+                surprise = rewards[t] + settings.discount * following * (1 - done) - values[t]
+                gain = surprise + settings.discount * settings.gae_lambda * (1 - done) * gain
+                gains[t], following, done = gain, values[t], dones[t]
+            returns = gains + values
+
+        flat = [array.flatten(0, 1) for array in (obs, actions, logs, gains, returns)]
+        order = np.arange(batch)
+        for _ in range(settings.epochs):
+            rng.shuffle(order)
+            for start in range(0, batch, settings.minibatch):
+                some = torch.from_numpy(order[start : start + settings.minibatch])
+                some_obs, some_actions, old, some_gains, some_returns = (array[some] for array in flat)
+                _, new, entropy, expected = agent(some_obs, some_actions)
+                ratio = (new - old).exp()
+                scaled = (some_gains - some_gains.mean()) / (some_gains.std() + 1e-8)
+                clipped = ratio.clamp(1 - settings.clip, 1 + settings.clip)
+                policy_loss = torch.max(-scaled * ratio, -scaled * clipped).mean()
+                value_loss = 0.5 * ((expected - some_returns) ** 2).mean()
+                loss = policy_loss - settings.entropy * entropy.mean() + value_loss
+                optimiser.zero_grad()
+                loss.backward()
+                nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
+                optimiser.step()
+        if watch((iteration + 1) * batch, choose):
+            return

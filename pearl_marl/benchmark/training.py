@@ -1,0 +1,208 @@
+"""Whole trainings beside those of other packages: for each seed and task every trainer in turn.
+
+Each training is a process of its own. A machine that slows down or speeds up does so for all trainers.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+from pearl_marl.registry import get_spec
+from pearl_marl.training.run import settings_for
+
+SEEDS = (0, 1, 2)
+
+OURS = "PEARL-MARL"
+SB3 = "SB3 on EnvPool"
+CLEANRL = "CleanRL's PPO on EnvPool"
+PUREJAXRL = "PureJaxRL's PPO on gymnax"
+PUFFERLIB = "PufferLib"
+
+
+class TrainingTask(NamedTuple):
+    """What is learned: environment, algorithm and goal, with the settings of our preset.
+
+    A training ends at the first evaluation that reaches the goal, but not before ``least`` iterations, by
+    which the rate is measured; in any case at the end of the preset's iterations, and after ``seconds`` of
+    training. Without a goal it ends after ``least`` iterations. An iteration is an update of PPO, or a
+    step of DQN with its updates.
+    """
+
+    name: str
+    algorithm: str
+    env_id: str
+    goal: float | None
+    least: int
+    every: int = 1  # iterations between evaluations
+    seconds: float = 40.0
+
+    def settings(self, seed: int) -> Any:
+        """Return the settings of our preset."""
+        agents = get_spec(self.env_id).agents
+        return settings_for(self.algorithm, self.env_id, {"seed": seed}, agents=agents)
+
+    def shorter(self) -> TrainingTask:
+        """Return the same task with a few iterations and no goal."""
+        return self._replace(goal=None, least=2 * self.every)
+
+
+TASKS = (
+    TrainingTask("PPO CartPole", "ppo", "CartPole", 475.0, least=20),
+    TrainingTask("PPO MountainCar", "ppo", "MountainCar", -115.0, least=10),
+    TrainingTask("PPO FrozenLake", "ppo", "FrozenLake", 0.70, least=10),
+    TrainingTask("PPO Seaquest", "ppo", "Seaquest", None, least=4, seconds=20.0),
+    TrainingTask("PPO LevelBasedForaging", "ppo", "LevelBasedForaging", None, least=12),
+    TrainingTask("DQN CartPole", "dqn", "CartPole", 475.0, least=200, every=20),
+)
+"""Seaquest takes minutes to its goal, and EnvPool's foraging has other rules: of these only the rate is
+measured."""
+
+ENVPOOL_COUNTS = {
+    "Seaquest": "stepped by MinAtar itself, in Python: EnvPool's Seaquest is Atari's, another game",
+    "LevelBasedForaging": "Jumanji's rules: two foods, 100 steps",
+}
+"""What EnvPool's form of an environment differs in from ours."""
+
+
+class TrainerModule(NamedTuple):
+    """A trainer: a module of ``trainers/`` with ``train(task, settings, watch)``, and what it needs."""
+
+    name: str
+    module: str | None
+    tasks: str  # what the names of its tasks begin with
+    packages: tuple[str, ...]
+    envs: tuple[str, ...] | None = None  # that it has; None for all
+    problem: str | None = None  # why it cannot be run at all
+
+    def missing(self, task: TrainingTask) -> str | None:
+        """Return why it cannot run here, or None if it can."""
+        if self.problem is not None:
+            return self.problem
+        if self.envs is not None and task.env_id not in self.envs:
+            return f"gymnax has no {task.env_id}"
+        absent = [package for package in self.packages if importlib.util.find_spec(package) is None]
+        if absent:
+            return f"{', '.join(absent)} not installed: make bench-peers, or pip install '.[peers]'"
+        return None
+
+    def counts(self, task: TrainingTask) -> str:
+        """Return what its figures include."""
+        text = "rollout and learning; evaluations, imports and compilation not counted"
+        if "envpool" in self.packages and task.env_id in ENVPOOL_COUNTS:
+            return f"{text}; {ENVPOOL_COUNTS[task.env_id]}"
+        return text
+
+
+TRAINERS = (
+    TrainerModule(OURS, "ours", "", ("torch",)),
+    TrainerModule(SB3, "sb3", "", ("stable_baselines3", "envpool")),
+    TrainerModule(CLEANRL, "cleanrl", "PPO", ("torch", "envpool")),
+    TrainerModule(
+        PUREJAXRL,
+        "purejaxrl",
+        "PPO",
+        ("jax", "gymnax", "optax"),
+        ("CartPole", "MountainCar", "FrozenLake", "Seaquest"),
+    ),
+    TrainerModule(
+        PUFFERLIB,
+        None,
+        "PPO CartPole",
+        (),
+        problem="no trainer of it is here: PufferLib 3.0.0 does not install from PyPI alone; its build "
+        "downloads raylib from elsewhere, which failed where this was written",
+    ),
+)
+
+Row = dict[str, Any]
+"""``task``, ``contender``, ``seed``, ``what_counts``; and either ``agent_steps_per_second``,
+``seconds_to_goal`` (None if the goal was not reached), ``wall`` and what else the process reported; or
+``missing``, the reason why there are no figures."""
+
+Job = tuple[TrainingTask, TrainerModule, int]
+"""A training: its task, its trainer, and its seed."""
+
+
+def tasks_of(env_id: str | None, quick: bool) -> tuple[TrainingTask, ...]:
+    """Return the tasks of an environment, or all; with ``quick`` a few iterations of each."""
+    chosen = (task for task in TASKS if env_id in (None, task.env_id))
+    return tuple(task.shorter() if quick else task for task in chosen)
+
+
+def jobs(tasks: Sequence[TrainingTask], quick: bool) -> list[Job]:
+    """Return all trainings in the order in which they are run; with ``quick`` of one seed."""
+    return [
+        (task, trainer, seed)
+        for seed in (SEEDS[:1] if quick else SEEDS)
+        for task in tasks
+        for trainer in TRAINERS
+        if task.name.startswith(trainer.tasks)
+    ]
+
+
+def run(work: Sequence[Job]) -> Iterator[Row]:
+    """Run trainings; yield a row for each."""
+    for task, trainer, seed in work:
+        row: Row = {"task": task.name, "contender": trainer.name, "seed": seed}
+        row["what_counts"] = trainer.counts(task)
+        missing = trainer.missing(task)
+        yield {**row, "missing": missing} if missing else {**row, **_train(task, trainer, seed)}
+
+
+def _train(task: TrainingTask, trainer: TrainerModule, seed: int) -> Row:
+    arguments = json.dumps({"module": trainer.module, "task": task._asdict(), "seed": seed})
+    command = [sys.executable, "-m", f"{__package__}.trainers", arguments]
+    began = time.perf_counter()
+    done = subprocess.run(command, capture_output=True, text=True)
+    wall = time.perf_counter() - began
+    if done.returncode:
+        *_, last = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
+        return {"missing": f"it failed: {last}"}
+    figures: Row = json.loads(done.stdout.splitlines()[-1])
+    return {**figures, "wall": wall}
+
+
+def compared(rows: Sequence[Row]) -> list[Row]:
+    """Return a row for each task and trainer, of all seeds, with how it compares with ours.
+
+    ``rate_ratio`` and ``time_ratio`` are how many times as fast, and how many times sooner at the goal, ours
+    was: the median over seeds, with the least and the most. Seeds that did not reach the goal are left out.
+    """
+    runs: dict[tuple[str, str], dict[int, Row]] = {}
+    for row in rows:
+        runs.setdefault((row["task"], row["contender"]), {})[row["seed"]] = row
+    found = []
+    for (task, contender), by_seed in runs.items():
+        measured = [row for row in by_seed.values() if "missing" not in row]
+        first = next(iter(by_seed.values()))
+        summary: Row = {"task": task, "contender": contender, "what_counts": first["what_counts"]}
+        if not measured:
+            found.append({**summary, "missing": first["missing"]})
+            continue
+        ours = {seed: row for seed, row in runs.get((task, OURS), {}).items() if "missing" not in row}
+        both = [(ours[row["seed"]], row) for row in measured if row["seed"] in ours]
+        rate, to_goal = "agent_steps_per_second", "seconds_to_goal"
+        reached = [row for row in measured if row[to_goal] is not None]
+        times = [(mine[to_goal], row[to_goal]) for mine, row in both if row in reached]
+        summary |= {
+            "seeds": len(measured),
+            "reached": len(reached),
+            rate: statistics.median(row[rate] for row in measured),
+            to_goal: statistics.median(row[to_goal] for row in reached) if reached else None,
+            "rate_ratio": _spread([mine[rate] / row[rate] for mine, row in both]),
+            "time_ratio": _spread([theirs / own for own, theirs in times if own is not None]),
+        }
+        found.append(summary)
+    return found
+
+
+def _spread(ratios: list[float]) -> list[float] | None:
+    """Return median, least and most."""
+    return [statistics.median(ratios), min(ratios), max(ratios)] if ratios else None

@@ -1,0 +1,91 @@
+"""``pearl quantize``: a trained policy in integers, which devices run beside their environments."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pearl_marl.cli import common
+from pearl_marl.cli.common import console, error_console
+from pearl_marl.errors import ArgumentError
+
+Run = Annotated[
+    Path, typer.Argument(metavar="RUN", help="A folder of `pearl train`, or its policy.safetensors.")
+]
+Into = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        metavar="FILE.safetensors",
+        help="The file to write.",
+        show_default="integers.safetensors in the run folder",
+    ),
+]
+Episodes = Annotated[
+    int | None,
+    typer.Option(
+        "--n-agents",
+        min=2,
+        help="Agents of each of the two evaluations, an episode each; a multiple of a world's.",
+        show_default="about 1,000",
+    ),
+]
+WeightBits = Annotated[int, typer.Option("--weight-bits", min=4, max=16, help="Width of weights.")]
+ActivationBits = Annotated[
+    int, typer.Option("--activation-bits", min=4, max=16, help="Width of what goes from layer to layer.")
+]
+
+
+def command(
+    run: Run,
+    out: Into = None,
+    weight_bits: WeightBits = 8,
+    activation_bits: ActivationBits = 8,
+    n_agents: Episodes = None,
+    seed: common.Seed = 0,
+    as_json: common.AsJson = False,
+) -> None:
+    """Make a policy in integers of a trained one, and measure the returns of both.
+
+    Devices run such a policy beside their environments: see `rollout()`. The change of the return is printed
+    with its 95 % confidence interval.
+    """
+    from pearl_marl.evaluation.quantization import Quantization
+    from pearl_marl.policies import integer_file
+
+    folder = run if run.is_dir() else run.parent
+    file = folder / integer_file.NAME if out is None else out
+    if file.suffix != ".safetensors":
+        raise ArgumentError(f"--out is {file}; it must be a file that ends in .safetensors")
+    common.check_file("--out", file)
+    try:
+        work = Quantization(run, n_agents, seed, weight_bits, activation_bits)
+    except ModuleNotFoundError as error:
+        raise ArgumentError(f"{run} takes {error.name}: pip install '.[train]'") from None
+    for _ in common.progress(work.run(), work.n_agents, "Evaluating"):
+        pass
+    integer_file.save(work.network, file)
+    figures = work.summary()
+    if as_json:
+        common.print_json({**figures, "file": str(file)})
+    else:
+        grid = common.table(f"Return of {work.spec.id}", ["policy"], ["mean", "95 % confidence"])
+        for name, row in (
+            ("trained", figures["return_before"]),
+            (
+                f"in integers ({weight_bits}-bit weights, {activation_bits}-bit activations)",
+                figures["return_after"],
+            ),
+            ("change", figures["change"]),
+        ):
+            grid.add_row(name, f"{row['mean']:,.2f}", f"{row['ci95_low']:,.2f} to {row['ci95_high']:,.2f}")
+        console.print(grid)
+        if figures["change"]["ci95_high"] < 0:
+            error_console.print(
+                f"The policy in integers is worse, by {-figures['change']['mean']:,.2f}: more bits may help "
+                "(--weight-bits, --activation-bits).",
+                soft_wrap=True,
+            )
+    error_console.print(f"Wrote {file}.", soft_wrap=True, markup=False)

@@ -1,0 +1,219 @@
+"""Rollouts by single steps: what every device can do, and what others are held against.
+
+The sums of a rollout are kept here, too, and its steps, where they are wanted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from pearl_marl.batch.actions import room_for_words
+from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.results import check_memory
+from pearl_marl.batch.rollout import Rollout
+from pearl_marl.batch.step import Array, BatchStep, Observed
+from pearl_marl.checks import checked_flag, checked_integer
+from pearl_marl.compiler.kernels import compile_kernels
+from pearl_marl.errors import ArgumentError
+from pearl_marl.policies.device_policy import DevicePolicy, elements_of, policy_draws
+from pearl_marl.spec import EnvSpec
+
+
+class Sums(NamedTuple):
+    """What a rollout adds up, an element an agent."""
+
+    running: Array  # float64: the return of the episode so far
+    length: Array  # int64: its steps so far
+    whole: Array  # uint8: whether it began in the rollout or with it
+    waiting: Array  # uint8: whether it takes no part: it has ended before its world, or its world resets
+    returns: Array  # float64: of whole episodes that ended
+    squares: Array  # float64
+    lengths: Array  # int64
+    ended: Array  # int64
+    truncated: Array  # int64
+    most: Array  # int64: how many episodes count
+
+    @classmethod
+    def of(cls, elapsed: Array, in_episode: Array, episodes: int | None) -> Sums:
+        """Return the sums of no steps; ``elapsed`` are each agent's steps of its episode so far."""
+        n = len(in_episode)
+        whole, waiting = (elapsed == 0).astype(np.uint8), (~in_episode.astype(np.bool_)).astype(np.uint8)
+        return cls(
+            np.zeros(n, np.float64),
+            np.zeros(n, np.int64),
+            whole,
+            waiting,
+            np.zeros(n, np.float64),
+            np.zeros(n, np.float64),
+            np.zeros(n, np.int64),
+            np.zeros(n, np.int64),
+            np.zeros(n, np.int64),
+            np.full(n, np.iinfo(np.int64).max if episodes is None else episodes),
+        )
+
+    def add(self, step: BatchStep, next_step: bool) -> None:
+        """Count one step; with ``next_step``, worlds that end spend the next one on their reset."""
+        acting = self.waiting == 0
+        self.running[acting] += step.rewards[acting]
+        self.length[acting] += 1
+        over = acting & (step.terminations | step.truncations)
+        counted = over & (self.whole != 0) & (self.ended < self.most)
+        self.returns[counted] += self.running[counted]
+        self.squares[counted] += self.running[counted] ** 2
+        self.lengths[counted] += self.length[counted]
+        self.ended[counted] += 1
+        self.truncated[counted] += ~step.terminations[counted]
+        self.running[over], self.length[over], self.whole[over] = 0, 0, 1
+        self.waiting[:] = np.where(over, next_step | ~step.in_episode, ~acting & ~step.in_episode)
+
+    def result(self, steps: int, recorded: dict[str, Any]) -> Rollout:
+        """Return the result of a rollout of so many steps, with what was recorded of them."""
+        return Rollout(
+            steps=steps,
+            truncated=int(self.truncated.sum()),
+            returns=self.returns,
+            squares=self.squares,
+            lengths=self.lengths,
+            ended=self.ended,
+            **recorded,
+        )
+
+
+class Record(NamedTuple):
+    """Every step of a rollout, with the elements that observations are made of."""
+
+    elements: Array  # (steps, n_agents, elements)
+    masks: Array  # (steps, n_agents, n_actions) int8; of no agents without masks
+    words: Array  # (steps, n_agents, fields) int64: actions
+    rewards: Array  # (steps, n_agents) float32
+    terminations: Array  # (steps, n_agents) uint8
+    truncations: Array  # (steps, n_agents) uint8
+    logits: Array  # (steps, n_agents, outputs) int32; of no outputs without logits
+
+    @classmethod
+    def of(cls, config: BatchConfig, steps: int, logits: int) -> Record:
+        """Return room for so many steps."""
+        spec, n = config.spec, config.n_agents
+        seen = elements_of(spec)
+        rows, masks = (steps, n), len(spec.mask_fields)
+        return cls(
+            np.empty((*rows, seen.observation_size), element_dtype(seen)),
+            np.empty((steps, n if masks else 0, masks), np.int8),
+            np.empty((*rows, len(spec.action_fields)), np.int64),
+            np.empty(rows, np.float32),
+            np.empty(rows, np.uint8),
+            np.empty(rows, np.uint8),
+            np.empty((*rows, logits), np.int32),
+        )
+
+    def part(self, start: int, stop: int) -> Record:
+        """Return some of the steps, in the same memory."""
+        return Record(*(array[start:stop] for array in self))
+
+    def arrays(self, config: BatchConfig) -> dict[str, Any]:
+        """Return the steps as a :class:`Rollout` has them: as an environment takes and gives them."""
+        spec = config.spec
+        shape, dtype = (*self.rewards.shape, *spec.observation_shape), spec.observation_dtype
+        if elements_of(spec) is spec:
+            observations = self.elements.view(dtype) if dtype == np.bool_ else self.elements
+        else:
+            scale = np.array([2.0**-field.fraction for field in spec.observation], dtype)
+            observations = self.elements.astype(dtype) * scale
+        fractions = np.array([2.0**-field.fraction for field in spec.action_fields])
+        actions = self.words * fractions if fractions.min() < 1 else self.words
+        space = spec.action_space
+        return {
+            "observations": observations.reshape(shape),
+            "action_masks": self.masks if spec.mask_fields else None,
+            "actions": actions.astype(space.dtype).reshape(*self.rewards.shape, *(space.shape or ())),
+            "rewards": self.rewards,
+            "terminations": self.terminations.view(np.bool_),
+            "truncations": self.truncations.view(np.bool_),
+            "logits": self.logits if self.logits.shape[2] else None,
+        }
+
+
+def check(config: BatchConfig, policy: object, steps: Any, record: object, episodes: object) -> None:
+    """Refuse what is no policy for an environment, or no number of steps."""
+    spec = config.spec
+    if not isinstance(policy, DevicePolicy):
+        raise ArgumentError(
+            f"policy is {policy!r}; a rollout takes a policy in integers, as pearl_marl.load_policy returns"
+        )
+    for what in ("observation_space", "action_space"):
+        theirs, own = getattr(policy.spec, what), getattr(spec, what)
+        if theirs != own:
+            raise ArgumentError(
+                f"the policy is for {policy.spec.name} with the {what} {theirs}; here it is {own}"
+            )
+    checked_integer("steps", steps)
+    if episodes is not None:
+        checked_integer("episodes", episodes, note=" or None")
+    checked_flag("record", record)
+    if record:
+        seen = elements_of(spec)
+        each = 2 * seen.observation_size * element_dtype(seen).itemsize + len(spec.mask_fields)
+        check_memory(config, int(steps) * (each + 16 * len(spec.action_fields) + 6 + 4 * policy.logits))
+
+
+def element_dtype(seen: EnvSpec) -> np.dtype[Any]:
+    """Return the dtype of elements: that of observations, whose flags are bytes."""
+    return np.dtype(np.uint8) if seen.observation_dtype == np.bool_ else seen.observation_dtype
+
+
+def look(config: BatchConfig, memory: Array) -> Observed:
+    """Return what agents are shown in the states in some slots' memory, with elements as observations.
+
+    Observations have the shape ``(n_agents, elements)``.
+    """
+    spec, n = elements_of(config.spec), config.n_agents
+    obs = np.empty((n, *spec.observation_shape), element_dtype(spec))
+    masks = np.zeros((n, len(spec.mask_fields)), np.int8)
+    in_episode = np.ones(n, np.uint8)
+    views = obs, *((masks,) if spec.mask_fields else ()), *((in_episode,) if spec.agents > 1 else ())
+    nothing = np.zeros(config.n_envs, np.uint8)
+    place = 0, 0, np.int64(0), config.first_slot, False, config.n_envs, 0, config.n_envs
+    compile_kernels(spec).reset(memory, memory, nothing, views, *place)
+    return Observed(obs.reshape(n, -1), masks if spec.mask_fields else None, in_episode.view(np.bool_))
+
+
+def by_steps(
+    config: BatchConfig,
+    policy: DevicePolicy,
+    steps: int,
+    sums: Sums,
+    record: Record | None,
+    see: Callable[[], Observed],
+    position: Callable[[], tuple[tuple[int, int], int]],
+    step: Callable[[Array], BatchStep],
+) -> Observed:
+    """Act and step, so many times, and add to sums and record; return what is seen last.
+
+    ``see`` returns what agents are shown now, ``position`` seed and tick, and ``step`` does a step of all
+    slots with the words of actions.
+    """
+    spec = config.spec
+    slots = np.repeat(config.first_slot + np.arange(config.n_envs), spec.agents)
+    agents = np.tile(np.arange(spec.agents), config.n_envs)
+    room = room_for_words(spec, config.n_agents)
+    for t in range(steps):
+        elements, masks, _ = see()
+        seed, tick = position()
+        draws = policy_draws(policy.draws, seed, tick, slots, agents, spec.agents)
+        choice = policy.choose(elements, agents, masks, draws)
+        room.reshape(choice.words.shape)[:] = choice.words
+        result = step(room).on_host()
+        sums.add(result, config.autoreset_mode is AutoresetMode.NEXT_STEP)
+        if record is not None:
+            record.elements[t], record.words[t] = elements, choice.words
+            if masks is not None:
+                record.masks[t] = masks
+            record.rewards[t], record.terminations[t] = result.rewards, result.terminations
+            record.truncations[t] = result.truncations
+            if choice.logits is not None:
+                record.logits[t] = choice.logits
+    return result.observed

@@ -1,0 +1,106 @@
+"""What a policy loses when it becomes one in integers: both act in the same worlds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pearl_marl.batch.config import BatchConfig
+from pearl_marl.devices import Native
+from pearl_marl.evaluation.run import CONFIDENCE, LIMIT, Array, Evaluation, interval
+from pearl_marl.policies.integer_network import IntegerNetwork
+
+SAMPLES = 4096
+"""Observations that a policy is quantised by."""
+
+EVERY = 16
+"""Steps between two of which some are taken."""
+
+
+class Quantization:
+    """A trained policy, and what becomes of it in integers.
+
+    Parameters
+    ----------
+    path
+        What ``pearl train`` made: a run folder, or its ``policy.safetensors``.
+    n_agents
+        How many agents each of the two policies acts for, an episode each.
+    seed
+        Of both evaluations, so that they meet the same starts.
+    weight_bits, activation_bits
+        See :func:`pearl_marl.policies.quantizing.quantized`.
+
+    Attributes
+    ----------
+    spec
+        The environment of the policy.
+    network
+        The policy in integers, after :meth:`run`.
+    before, after
+        Returns of the trained policy's agents, and of the other one's.
+    """
+
+    network: IntegerNetwork
+    before: Array
+    after: Array
+
+    def __init__(
+        self, path: Path, n_agents: int | None, seed: int, weight_bits: int, activation_bits: int
+    ) -> None:
+        from pearl_marl.policies import trained  # which takes torch
+
+        self._policy = trained.load(path)
+        self.spec = self._policy.spec
+        self.n_agents = max(1000 // self.spec.agents, 1) * self.spec.agents if n_agents is None else n_agents
+        self._seed, self._bits = seed, (weight_bits, activation_bits)
+
+    def run(self) -> Iterator[None]:
+        """Evaluate, quantise, evaluate again; yields for every agent whose first episode has ended."""
+        from pearl_marl.policies.quantizing import quantized
+
+        samples: list[Array] = []
+        steps = 0
+
+        def acting(observations: Array, masks: Array | None = None) -> Array:
+            nonlocal steps
+            if steps % EVERY == 0 and sum(map(len, samples)) < SAMPLES:
+                samples.append(observations[: SAMPLES // 16].copy())
+            steps += 1
+            return self._policy.choose(observations, masks)
+
+        self._policy.seed(self._seed)
+        evaluation = Evaluation(self.spec, acting, self.n_agents, seed=self._seed)
+        yield from evaluation.run()
+        self.before = evaluation.returns
+        self.network = quantized(self._policy, np.concatenate(samples), *self._bits)
+        limit = self.spec.max_cycles or LIMIT
+        device = Native()
+        device.open(BatchConfig(spec=self.spec, n_envs=evaluation.config.n_envs, max_cycles=limit))
+        try:
+            device.reset(self._seed)
+            self.after = device.rollout(self.network, limit, episodes=1).returns
+        finally:
+            device.close()
+
+    def summary(self) -> dict[str, Any]:
+        """Return all figures by name, for JSON."""
+        before, after = interval(self.before), interval(self.after)
+        change = float(self.after.mean() - self.before.mean())
+        spread = [float(returns.var(ddof=1)) / len(returns) for returns in (self.before, self.after)]
+        half = CONFIDENCE * math.sqrt(sum(spread)) if self.n_agents > 1 else math.nan
+        return {
+            "environment": self.spec.id,
+            "options": dict(self.spec.options),
+            "weight_bits": self._bits[0],
+            "activation_bits": self._bits[1],
+            "n_agents": self.n_agents,
+            "seed": self._seed,
+            "return_before": before,
+            "return_after": after,
+            "change": {"mean": change, "ci95_low": change - half, "ci95_high": change + half},
+        }

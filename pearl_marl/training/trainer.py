@@ -1,0 +1,164 @@
+"""Any algorithm's trainer: its iterations, its episodes' returns and its checkpoints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pearl_marl.batch.saved_state import SavedState
+from pearl_marl.errors import ArgumentError
+from pearl_marl.policies.network import masked
+from pearl_marl.policies.policy_file import check_weights
+from pearl_marl.spec import EnvSpec
+from pearl_marl.training.restoring import copied, saved_bytes, whole
+
+SECOND_THREAD = 1 << 17
+"""Elements of a layer's output from which on a second thread pays, except for pictures."""
+
+
+@contextmanager
+def threads_for(spec: EnvSpec, settings: Any) -> Iterator[None]:
+    """Learn in the block with one thread where networks and minibatches are small, else with all there are.
+
+    It depends on nothing but the settings: another number of threads adds numbers up in another order.
+    """
+    before = torch.get_num_threads()
+    picture = len(spec.observation_space.shape or ()) == 3
+    elements = getattr(settings, "minibatch", 0) * getattr(settings, "width", 0)
+    torch.set_num_threads(before if picture or elements >= SECOND_THREAD else 1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+class EpisodeReturns:
+    """Mean return and length of the episodes that ``n`` agents finish, added up where the rewards are."""
+
+    def __init__(self, n: int, where: torch.device) -> None:
+        # Of the episodes under way: returns, lengths. Of those finished: number, returns, lengths.
+        self._under_way = torch.zeros(2, n, dtype=torch.float64, device=where)
+        self._finished = torch.zeros(3, dtype=torch.float64, device=where)
+
+    def add(self, rewards: Tensor, ended: Tensor) -> None:
+        """Count some steps of every agent, shape ``(steps, n)``."""
+        steps = len(rewards)
+        number = torch.arange(1, steps + 1, device=rewards.device)[:, None]
+        # An agent's finished episodes together are all that it had up to the last step that ended one.
+        last = (ended * number).amax(0, keepdim=True)
+        so_far = torch.zeros(2, steps + 1, rewards.shape[1], dtype=torch.float64, device=rewards.device)
+        so_far[0, 1:] = rewards
+        so_far[1, 1:] = 1
+        so_far[:, 0] = self._under_way
+        so_far = so_far.cumsum(1)
+        until_last = so_far.gather(1, last.expand(2, 1, -1))[:, 0] * (last > 0)
+        self._under_way = so_far[:, -1] - until_last
+        self._finished[0] += ended.sum()
+        self._finished[1:] += until_last.sum(1)
+
+    def take(self) -> dict[str, float | None]:
+        """Return means, and the number of episodes, by the names of metrics; and begin anew."""
+        episodes, returns, lengths = self._finished.tolist()
+        self._finished.zero_()
+        return {
+            "train_return": returns / episodes if episodes else None,
+            "train_length": lengths / episodes if episodes else None,
+            "episodes": int(episodes),
+        }
+
+    def state(self) -> tuple[Tensor, Tensor]:
+        """Return all that the continuation depends on."""
+        return self._under_way, self._finished
+
+    def load(self, state: tuple[Tensor, Tensor]) -> None:
+        """Go on from what :meth:`state` returned."""
+        for mine, kept in zip(self.state(), state, strict=True):
+            copied("sums of episodes", mine, kept)
+
+
+class Trainer:
+    """A run of any algorithm: ``iterate`` goes on by one iteration, and ``policy`` is what it learns.
+
+    Parameters
+    ----------
+    settings
+        The run's.
+    agents
+        :class:`~pearl_marl.training.agents.Agents`, or something else with ``state``, ``load``, ``config``.
+    where
+        The device of torch that has their observations, and on which it learns.
+    """
+
+    policy: Any
+
+    def __init__(self, settings: Any, agents: Any, where: torch.device) -> None:
+        self.settings, self.agents, self.where = settings, agents, where
+        self.random = torch.Generator(where).manual_seed(settings.seed)
+        self.episodes = EpisodeReturns(settings.n_agents, where)
+        self.components: dict[str, Any] = {}  # modules and optimisers, by their names in a checkpoint
+        self.done = 0  # iterations so far
+        self.steps_per_iteration = 1  # of every agent
+        self.evaluated = 256  # agents whose first episodes are an evaluation, unless said otherwise
+
+    @property
+    def agent_steps(self) -> int:
+        """Steps of single agents so far."""
+        return int(self.done * self.steps_per_iteration * self.settings.n_agents)
+
+    def iterate(self) -> None:
+        """Go on by one iteration, with as many threads of PyTorch as help."""
+        with threads_for(self.policy.spec, self.settings):
+            self.update()
+
+    def update(self) -> None:
+        """Do one iteration of the algorithm."""
+        raise NotImplementedError
+
+    def check(self, losses: Tensor) -> None:
+        """Refuse to go on from losses that are no numbers: the policy's outputs are none either, then."""
+        if not torch.isfinite(losses).all():
+            raise ArgumentError(
+                f"the training has diverged, as the loss of iteration {self.done + 1:,} is no number: make "
+                "the setting 'learning_rate' smaller, or bring rewards nearer to 1 with 'reward_scale'"
+            )
+
+    def figures(self) -> dict[str, float | None]:
+        """Return figures for the metrics, of episodes since they were last asked for."""
+        return self.episodes.take()
+
+    def explore(self, best: Tensor, n_actions: int, epsilon: float, masks: Tensor | None = None) -> Tensor:
+        """Return the best actions, of which a share is replaced by random ones that the masks allow."""
+        random = torch.rand(len(best), generator=self.random, device=self.where) < epsilon
+        if masks is None:
+            anything = torch.randint(n_actions, best.shape, generator=self.random, device=self.where)
+        else:
+            draws = torch.rand(masks.shape, generator=self.random, device=self.where)
+            anything = masked(draws, masks).argmax(1)
+        return torch.where(random, anything, best)
+
+    def state(self) -> dict[str, Any]:
+        """Return all that the continuation depends on: tensors and plain data."""
+        agents = torch.frombuffer(bytearray(self.agents.state().to_bytes()), dtype=torch.uint8)
+        return {
+            "done": self.done,
+            "random": self.random.get_state(),
+            "agents": agents,
+            "episodes": self.episodes.state(),
+            **{name: component.state_dict() for name, component in self.components.items()},
+        }
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Go on from what :meth:`state` returned."""
+        self.done = whole("number of iterations", state["done"])
+        for name, component in self.components.items():
+            if isinstance(component, torch.nn.Module):
+                check_weights(component, state[name], f"{self.policy.spec.name}'s {name}")
+            component.load_state_dict(state[name])
+        self.random.set_state(state["random"])
+        agents = saved_bytes("state of agents", state["agents"])
+        self.agents.load(SavedState.from_bytes(agents, self.agents.config))
+        self.episodes.load(state["episodes"])

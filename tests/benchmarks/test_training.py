@@ -1,0 +1,230 @@
+"""Whole trainings beside those of other packages: the clock, the comparison, and that everybody learns."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pearl_marl.benchmark import training, watch
+from pearl_marl.benchmark.training import OURS, TASKS, TRAINERS, TrainerModule, TrainingTask
+from pearl_marl.benchmark.watch import Watch
+from pearl_marl.registry import get_spec
+
+Pearl = Callable[..., tuple[int, str, str]]
+NEEDS = {trainer.module: trainer.packages for trainer in TRAINERS if trainer.module is not None}
+PPO_TASKS = [task for task in TASKS if task.algorithm == "ppo"]
+EASY = TrainingTask("PPO CartPole", "ppo", "CartPole", 475.0, least=1)
+
+
+def trainer(module: str) -> Any:
+    for package in NEEDS[module]:
+        pytest.importorskip(package)
+    return importlib.import_module(f"pearl_marl.benchmark.trainers.{module}")
+
+
+class Clock:
+    """A clock that is set by hand."""
+
+    now = 0.0
+
+    def perf_counter(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    made = Clock()
+    monkeypatch.setattr(watch, "time", made)
+    return made
+
+
+def watched(monkeypatch: pytest.MonkeyPatch, clock: Clock, task: TrainingTask, returns: list[float]) -> Watch:
+    """Return a watch after a training whose iterations of 10 steps take a second, and evaluations five."""
+    coming = iter(returns)
+
+    def mean_return(env_id: str, choose: Any) -> float:
+        clock.now += 5
+        return next(coming)
+
+    monkeypatch.setattr(watch, "mean_return", mean_return)
+    made = Watch(task)
+    clock.now = 100
+    made.start()
+    for iteration in range(1, 1000):
+        clock.now += 3 if iteration == 1 else 1  # caches are cold in the first
+        if made(iteration * 10, lambda obs: obs):
+            break
+    return made
+
+
+def test_evaluations_are_not_timed(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
+    made = watched(monkeypatch, clock, EASY._replace(every=2), [0, 475])
+    assert made.points == [(4, 20), (6, 40)]
+    assert made.reached == 6
+    assert made.best == 475
+    assert made.rate == 10, "of what came after the first point"
+
+
+def test_the_rate_is_measured_for_longer_than_the_goal_takes(
+    monkeypatch: pytest.MonkeyPatch, clock: Clock
+) -> None:
+    made = watched(monkeypatch, clock, EASY._replace(least=5), [500])
+    assert made.reached == 3
+    assert made.points[-1] == (7, 50)
+
+
+def test_a_goal_that_is_not_reached_ends_with_the_time(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
+    made = watched(monkeypatch, clock, EASY._replace(seconds=8.0), [0] * 10)
+    assert made.reached is None
+    assert made.points[-1] == (8, 60)
+
+
+def test_without_a_goal_nobody_is_evaluated(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
+    made = watched(monkeypatch, clock, EASY._replace(goal=None, least=1), [])
+    assert (made.points, made.reached, made.best) == ([(3, 10)], None, None)
+    assert made.rate == pytest.approx(10 / 3), "the first iteration is all that there is"
+
+
+@pytest.mark.parametrize("module", NEEDS)
+@pytest.mark.parametrize("task", PPO_TASKS, ids=lambda task: task.env_id)
+def test_a_few_iterations(monkeypatch: pytest.MonkeyPatch, module: str, task: TrainingTask) -> None:
+    """Everybody takes our settings, and its policy's actions are ours."""
+    entry = next(trainer for trainer in TRAINERS if trainer.module == module)
+    made = trainer(module)
+    if entry.missing(task) is not None:
+        pytest.skip(str(entry.missing(task)))
+    few = {"n_agents": 8, "rollout_length": 4, "minibatch": 16, "epochs": 2, "iterations": 5, "width": 8}
+    settings = dataclasses.replace(task.settings(0), **few)
+    spec = get_spec(task.env_id)
+    obs = np.zeros((8, *spec.observation_shape), spec.observation_dtype)
+    ours = not (
+        spec.name == "LevelBasedForaging" and "envpool" in entry.packages
+    )  # which sees something else
+    seen: list[int] = []
+
+    class Looking(Watch):
+        def __call__(self, agent_steps: int, choose: Callable[[Any], Any]) -> bool:
+            if ours:
+                actions = choose(obs)
+                assert actions.shape == (8,)
+                assert all(action in spec.action_space for action in actions)
+            seen.append(agent_steps)
+            return super().__call__(agent_steps, choose)
+
+    made.train(task, settings, Looking(task._replace(goal=None, least=3)))
+    assert seen == [32, 64, 96]
+
+
+def test_all_iterations_are_noted() -> None:
+    """Stable-Baselines3 tells nobody that the last one is over."""
+    made = trainer("sb3")
+    settings = dataclasses.replace(EASY.settings(0), n_agents=4, rollout_length=4, minibatch=8, iterations=3)
+    noted = Watch(EASY._replace(goal=None, least=9))
+    made.train(EASY, settings, noted)
+    assert [steps for _, steps in noted.points] == [16, 32, 48]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("module", NEEDS)
+def test_everybody_balances_the_pole(module: str) -> None:
+    made, noted = trainer(module), Watch(EASY._replace(seconds=600.0))
+    made.train(EASY, EASY.settings(0), noted)
+    assert noted.reached is not None
+
+
+@pytest.mark.parametrize("module", ["ours", "sb3"])
+def test_dqn(module: str) -> None:
+    (task,) = (task for task in TASKS if task.algorithm == "dqn")
+    few = {"n_agents": 8, "memory": 20, "warm_up": 2, "minibatch": 16, "iterations": 40, "width": 8}
+    noted = Watch(task._replace(goal=None, least=20, every=10))
+    trainer(module).train(task, dataclasses.replace(task.settings(0), **few), noted)
+    assert [steps for _, steps in noted.points] == [80, 160]
+
+
+def test_foragers_of_a_world_are_neighbours() -> None:
+    pytest.importorskip("envpool")
+    agents = importlib.import_module("pearl_marl.benchmark.trainers.envpool_agents")
+    envs = agents.environments("LevelBasedForaging", 8, 0)
+    obs, _ = envs.reset()
+    assert obs.shape == (8, *envs.observation_space.shape)
+    assert (obs[:, -2:] == np.tile(np.eye(2), (4, 1))).all(), "each sees who of the two it is"
+    for _ in range(100):
+        obs, rewards, terminations, truncations, _ = envs.step(np.zeros(8, np.int32))
+    assert (terminations | truncations).all()
+    again, _ = envs.reset(np.array([2, 3, 6, 7], np.int32))
+    assert again.shape == (4, obs.shape[1])
+    assert (again[:, -2:] == np.tile(np.eye(2), (2, 1))).all()
+    assert rewards.shape == (8,)
+    envs.close()
+
+
+# ---- In turns, each in a process of its own ----
+
+ABSENT = TrainerModule("somebody", "sb3", "", ("no_such_package",))
+BROKEN = TrainerModule("broken", "no_such_module", "", ())
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(training, "TRAINERS", (*TRAINERS[:1], ABSENT, BROKEN, TRAINERS[-1]))
+
+
+@pytest.mark.usefixtures("few")
+def test_who_cannot_run_is_named(pearl: Pearl, tmp_path: Any) -> None:
+    call = ("bench", "training", "levelbasedforaging", "--quick", "--out", tmp_path)
+    status, out, err = pearl(*call)
+    assert status == 0, err
+    result = json.loads((tmp_path / "trainings_LevelBasedForaging.json").read_text())
+    assert result["quick"]
+    assert result["goals"] == {"PPO LevelBasedForaging": None}
+    ours, absent, broken = result["rows"]
+    assert ours["contender"] == OURS
+    assert ours["agent_steps_per_second"] > 0
+    assert ours["seconds_to_goal"] is None
+    assert ours["agent_steps"] == 2 * 512 * 16
+    assert ours["wall"] > ours["training_seconds"]
+    assert "evaluations, imports and compilation not counted" in ours["what_counts"]
+    assert absent["missing"].startswith("no_such_package not installed: make bench-peers")
+    assert "it failed" in broken["missing"]
+    assert "no_such_module" in broken["missing"]
+    for row in (absent, broken):
+        assert row["missing"] in " ".join(out.split())
+
+
+@pytest.mark.usefixtures("few")
+def test_each_seed_has_everybody_in_turn() -> None:
+    order = [(task.name, who.name, seed) for task, who, seed in training.jobs(TASKS[:2], quick=False)]
+    assert order[:4] == [("PPO CartPole", name, 0) for name in (OURS, "somebody", "broken", "PufferLib")]
+    assert order[4:7] == [("PPO MountainCar", name, 0) for name in (OURS, "somebody", "broken")]
+    assert [seed for _, _, seed in order[6::7]] == [0, 1, 2]
+
+
+def row(contender: str, seed: int, rate: float, seconds: float | None) -> dict[str, Any]:
+    about = {"task": "PPO CartPole", "contender": contender, "seed": seed, "what_counts": ""}
+    return {**about, "agent_steps_per_second": rate, "seconds_to_goal": seconds}
+
+
+def test_ratios_are_seed_by_seed() -> None:
+    rows = [
+        *(row(OURS, 0, 100.0, 1.0), row(OURS, 1, 200.0, 2.0), row(OURS, 2, 300.0, None)),
+        *(row("it", 0, 50.0, 3.0), row("it", 1, 50.0, None), row("it", 2, 50.0, 7.0)),
+        {"task": "PPO CartPole", "contender": "gone", "seed": 0, "what_counts": "", "missing": "why"},
+    ]
+    ours, it, gone = training.compared(rows)
+    assert (ours["agent_steps_per_second"], ours["seconds_to_goal"], ours["reached"]) == (200, 1.5, 2)
+    assert it["rate_ratio"] == [4, 2, 6]
+    assert it["time_ratio"] == [3, 3, 3], "of the seed with which both reached it"
+    assert (it["seconds_to_goal"], it["reached"], it["seeds"]) == (5, 2, 3)
+    assert gone["missing"] == "why"
+
+
+def test_refused_calls(pearl: Pearl) -> None:
+    status, _, err = pearl("bench", "training", "Taxi")
+    assert status == 2
+    assert "possible are CartPole, MountainCar, FrozenLake, Seaquest, LevelBasedForaging" in err

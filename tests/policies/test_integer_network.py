@@ -1,0 +1,97 @@
+"""Networks in integers: compiled they do as the same arithmetic in NumPy; impossible ones are refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pearl_marl
+from pearl_marl.elements import bounds
+from pearl_marl.errors import ArgumentError
+from pearl_marl.policies.device_policy import Array, elements_of
+from pearl_marl.policies.integer_loops import TILE, compiled_act, prepared
+from pearl_marl.policies.integer_network import Dense, Head, IntegerNetwork, Scaling
+from pearl_marl.spec import EnvSpec
+
+from .networks import random_network
+
+N = 2 * TILE + 11
+
+
+def some_elements(spec: EnvSpec, rng: np.random.Generator) -> Array:
+    """Return elements all over their ranges, the ends among them."""
+    seen = elements_of(spec)
+    low, high = (end.ravel().astype(np.int64) for end in bounds(seen.observation_space))
+    rows = rng.integers(low, high, (N, len(low)), endpoint=True)
+    rows[0], rows[1] = low, high
+    dtype = np.dtype(np.uint8) if seen.observation_dtype == np.bool_ else seen.observation_dtype
+    return rows.astype(dtype)
+
+
+CASES = [
+    *(("CartPole", widths, drawn) for widths in ((9, 6), (1,), (), (33, 5, 2)) for drawn in (False, True)),
+    *(
+        (name, (9, 6), True)
+        for name in ("Taxi", "Blackjack", "ConnectFour", "LevelBasedForaging", "Pendulum", "Seaquest")
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "widths", "drawn"), CASES)
+def test_compiled_as_in_numpy(name: str, widths: tuple[int, ...], drawn: bool) -> None:
+    spec, rng = pearl_marl.get_spec(name), np.random.default_rng(3)
+    network = random_network(spec, 5, widths, drawn)
+    elements = some_elements(spec, rng)
+    masks = rng.integers(0, 2, (N, len(spec.mask_fields))).astype(np.int8) if spec.mask_fields else None
+    draws = rng.integers(0, 1 << 32, (N, network.draws), dtype=np.uint32)
+    choice = network.choose(elements, np.arange(N) % spec.agents, masks, draws)
+    words = np.zeros_like(choice.words)
+    logits = np.zeros((0, 0) if choice.logits is None else choice.logits.shape, np.int32)
+    no_masks = np.zeros((0, 0), np.int8)
+    compiled_act()(prepared(network), elements, no_masks if masks is None else masks, draws, words, logits)
+    assert np.array_equal(words, choice.words)
+    assert choice.logits is None or np.array_equal(logits, choice.logits)
+    assert len(np.unique(words)) > 1
+
+
+def test_chances_are_as_the_weights_say() -> None:
+    """The probability of an action is its weight's share, to the 32 bits of a draw."""
+    spec = pearl_marl.get_spec("CartPole")
+    layer = Dense(np.zeros((2, 4), np.int16), np.array([0, 64], np.int32))
+    weights = np.full(1024, 1, np.int32)
+    weights[:2] = 60000, 20000
+    inputs = Scaling(*(np.zeros(4, np.int64),) * 3, 1)
+    network = IntegerNetwork(spec, inputs, np.zeros((0, 2), np.int32), (layer,), Head((2,), 6, weights))
+    draws = np.arange(0, 1 << 32, 1 << 20, dtype=np.uint32)[:, None]
+    words = network.choose(np.zeros((len(draws), 4), np.int32), np.zeros(len(draws), int), None, draws).words
+    assert abs(words.mean() - 0.75) < 1e-3
+
+
+def cart_pole() -> IntegerNetwork:
+    return random_network(pearl_marl.get_spec("CartPole"), 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda n: {"layers": ()}, "has no layers"),
+        (lambda n: {"layers": n.layers[:-1]}, "6 outputs for actions in Discrete"),
+        (lambda n: {"layers": (n.layers[0], *n.layers)}, "layer 1 has weights of shape \\(9, 4\\)"),
+        (lambda n: {"inputs": n.inputs._replace(offset=np.zeros(3, int))}, "offset has the shape \\(3,\\)"),
+        (lambda n: {"inputs": n.inputs._replace(limit=1 << 15)}, "limit of inputs is 32768"),
+        (lambda n: {"head": Head((3,))}, "2 outputs for actions in Discrete"),
+        (
+            lambda n: {
+                "layers": (n.layers[0]._replace(bias=np.full(9, (1 << 31) - 5, np.int32)), *n.layers[1:])
+            },
+            "sums of layer 0 may reach 2,147",
+        ),
+    ],
+)
+def test_what_is_no_network_is_refused(change: Any, message: str) -> None:
+    network = cart_pole()
+    with pytest.raises(ArgumentError, match=message):
+        replace(network, **change(network))

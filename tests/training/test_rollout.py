@@ -1,0 +1,73 @@
+"""Advantages of agents that do not act in every step, against their definition, decision by decision."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
+rollout = importlib.import_module("pearl_marl.training.rollout")
+
+STEPS, N = 60, 40
+DISCOUNT, GAE_LAMBDA = 0.9, 0.7
+
+
+def trajectories(acting: Any, unknown: Any = None, seed: int = 0) -> Any:
+    random = np.random.default_rng(seed)
+    rewards, values = random.normal(size=(STEPS, N)), random.normal(size=(STEPS + 1, N))
+    ended = random.random((STEPS, N)) < 0.1
+    if unknown is None:
+        unknown = np.zeros((STEPS, N), np.bool_)
+    parts = rewards, values, ended, acting, unknown & ended
+    return rollout.Trajectories(*(torch.from_numpy(part) for part in parts))
+
+
+def of_one(rewards: Any, values: Any, ended: Any, acting: Any, unknown: Any) -> tuple[Any, Any]:
+    """What the module computes, of one agent, forward and in so many words."""
+    times = np.flatnonzero(acting[:-1])
+    errors, traces = {}, {}
+    for k, t in enumerate(times):
+        later = next((s for s in range(t, STEPS) if ended[s]), None)
+        following = times[k + 1] if k + 1 < len(times) else (STEPS if acting[-1] else None)
+        if later is not None and (following is None or later < following):
+            known, until, value = not unknown[later], later + 1, 0.0
+        else:
+            known = following is not None
+            until, value = (following, values[following]) if known else (STEPS, 0.0)
+        if known:
+            errors[t] = rewards[t:until].sum() + DISCOUNT * value - values[t]
+        traces[t] = following if known and value != 0.0 else None
+    result, learned = np.zeros(STEPS), np.zeros(STEPS, np.bool_)
+    for t in times[::-1]:
+        if t in errors:
+            result[t], learned[t] = errors[t], True
+            if traces[t] is not None and traces[t] < STEPS:
+                result[t] += DISCOUNT * GAE_LAMBDA * result[traces[t]]
+    return result, learned
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.7, 1.0])
+@pytest.mark.parametrize("cut", [0.0, 0.5])
+def test_advantages_of_decisions(share: float, cut: float) -> None:
+    random = np.random.default_rng(3)
+    acting = random.random((STEPS + 1, N)) < share
+    given = trajectories(acting, random.random((STEPS, N)) < cut)
+    gains, learned = rollout.estimated_advantages(given, DISCOUNT, GAE_LAMBDA)
+    for k in range(N):
+        expected, which = of_one(*(part[:, k].numpy() for part in given))
+        np.testing.assert_array_equal(learned[:, k], which)
+        np.testing.assert_allclose(gains[:, k][which], expected[which], rtol=1e-4, atol=1e-6)
+        assert not gains[:, k][~which].any()
+
+
+def test_who_acts_in_every_step_is_computed_faster_to_the_same() -> None:
+    given = trajectories(np.ones((STEPS + 1, N), np.bool_))
+    fast, everything = rollout.estimated_advantages(given, DISCOUNT, GAE_LAMBDA)
+    one_waits = given.acting.clone()
+    one_waits[:, 0] = False
+    slow, _ = rollout.estimated_advantages(given._replace(acting=one_waits), DISCOUNT, GAE_LAMBDA)
+    assert everything.all()
+    torch.testing.assert_close(slow[:, 1:], fast[:, 1:])
