@@ -19,7 +19,8 @@ class Rollout:
     steps of episodes are not counted, and those under way count from the rollout's start. An agent that ends
     before its world has an episode that is as long as it took part.
 
-    Hardware with a policy engine adds up over all agents: arrays of sums have one element, and squares are NaN.
+    Hardware with a policy engine adds up over all agents: arrays of sums have one element, and squares are
+    NaN.
 
     Attributes
     ----------
