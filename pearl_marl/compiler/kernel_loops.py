@@ -405,7 +405,7 @@ class KernelLoops:
         if not self.has_lanes:
             return [getattr(f, f"{name}_{k}") for k in range(len(self.fields))]
         lanes = f.state if name == "state" else f.starts
-        return [lanes.view(lanes.type, 0, k * self.size) for k in range(len(self.fields))]
+        return [lanes.behind(k * self.size) for k in range(len(self.fields))]
 
     def _words(self, f: Frame, i: Value, name: str = "state") -> list[Value]:
         """Return the words of a slot's state, or of its stored start."""
@@ -445,7 +445,7 @@ class KernelLoops:
 
     def _draws(self, f: Frame, i: Value, draws: range) -> list[Value]:
         """Return some draws of a slot."""
-        return [f.draws.view(types.uint32, 0, self.size * d)[i] for d in draws]
+        return [f.draws.behind(self.size * d)[i] for d in draws]
 
     def _start_over(self, code: Code, f: Frame) -> None:
         """Start an episode in the slots of a block that are ``over``."""

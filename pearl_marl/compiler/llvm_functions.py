@@ -182,9 +182,10 @@ class Value:
 class Column:
     """Words side by side in memory: LLVM's address of the first, and their type."""
 
-    def __init__(self, code: Code, first: Any, type_: Any) -> None:
+    def __init__(self, code: Code, first: Any, type_: Any, skipped: int = 0) -> None:
         self.code, self.first, self.type = code, first, type_
-        self._stores = 0
+        self._stores, self._skipped = 0, skipped
+        self._behind: dict[int, Column] = {}
 
     def __getitem__(self, index: Value | int) -> Value:
         stores = self._stores
@@ -208,7 +209,17 @@ class Column:
 
     def at(self, index: Value | int) -> Any:
         """Return the address of a word."""
-        return self.code.gep(self.first, [_number(index)])
+        first = self.first if not self._skipped else self.code.gep(self.first, [_number(self._skipped)])
+        return self.code.gep(first, [_number(index)])
+
+    def behind(self, count: int) -> Column:
+        """Return the words behind so many, always the same column: it knows what was stored there.
+
+        Unlike a view it makes no address by itself: what one part of a loop has made, the next does not know.
+        """
+        if count not in self._behind:
+            self._behind[count] = Column(self.code, self.first, self.type, count)
+        return self._behind[count]
 
     def view(self, type_: Any, byte: Value | int = 0, index: Value | int = 0) -> Column:
         """Return the words of a type that begin ``index`` words behind a byte."""
