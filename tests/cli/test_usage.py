@@ -320,7 +320,9 @@ def test_streams_of_ascii(tmp_path: Path) -> None:
     ascii_ = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "COLUMNS": "0"}
     line = "eval", "Blackjack", "--policy", "random", "--n-agents", "40", "--out", str(tmp_path)
     done = called(*line, stdout=subprocess.PIPE, env=ascii_)
-    assert (done.returncode, done.stderr.strip()) == (0, "")
+    compiling = "pearl: compiling Blackjack"  # where no test has done so before
+    assert [line for line in done.stderr.splitlines() if not line.startswith(compiling)] == []
+    assert done.returncode == 0
     assert "digest" in done.stdout
     assert "? 0." in done.stdout, "a mean and its confidence"
     assert "±" not in done.stdout
