@@ -262,7 +262,7 @@ class TestFaces:
         assert env.num_envs == 3
         assert env.single_observation_space.shape == (8,)
         assert env.device is inner.device
-        with pytest.raises(OrderError, match=r"a wrapped environment has no send\(\) and"):
+        with pytest.raises(OrderError, match=r"a wrapped environment has no send\(\), recv\(\) and"):
             env.send([0] * 3)
         del env
         inner.reset(seed=0)  # a wrapper that is gone has not closed what was inside
