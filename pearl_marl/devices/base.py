@@ -337,7 +337,7 @@ class Device(ABC):
         """Step every slot so many times, with the actions of a policy; return what came of it.
 
         Afterwards everything is as after single steps with these actions. If the call fails, or Ctrl-C ends
-        it, it is as before.
+        it, it is as before; but hardware that rolls out by itself has failed then: call :meth:`recover`.
 
         Parameters
         ----------
@@ -359,20 +359,30 @@ class Device(ABC):
         """
         self.check_idle("rollout", ready=True)
         rollouts.check(self.config, policy, steps, record, episodes)
-        saved = self.snapshot()
         with self._noted("rollout", policy, steps):
+            alone = self._rollout_alone(policy, steps, record, episodes)
+            if alone is not None:
+                return alone
+            saved = self.snapshot()
             try:
                 result, observed = self._rollout(policy, steps, record, episodes)
-                self._remember(observed)
-                return result
             except BaseException:
                 if self.phase is not Phase.FAILED:
+                    self.seed, self.tick = saved.seed, saved.tick
                     self._remember(self._write(saved.memory, saved.stored))
                 raise
+            self._remember(observed)
+            return result
 
     def elements(self) -> Observed:
         """Return what policies in integers are shown now: observations of shape ``(n_agents, elements)``."""
         return rollouts.look(self.config, self._read()[0])
+
+    def _rollout_alone(
+        self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
+    ) -> Rollout | None:
+        """Do a rollout of which the host sees sums only; return ``None`` where there is no such way."""
+        return None
 
     def _rollout(
         self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None

@@ -119,12 +119,12 @@ class CommBram(Device):
     def _may_have_moved(self) -> bool:
         return self._protocol.unconfirmed
 
-    def _rollout(
+    def _rollout_alone(
         self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
-    ) -> tuple[Rollout, Observed]:
+    ) -> Rollout | None:
         protocol, mirror, config = self._protocol, self._mirror, self.config
         if protocol.layout.engine is None or record or episodes is not None:
-            return super()._rollout(policy, steps, record, episodes)
+            return None
         run = LinkRollout.of(policy, protocol.layout, config.spec, self.rewards, steps, config.limit)
         if mirror.due.any():  # the mask is of one step only
             self._write(*self._read())
@@ -140,12 +140,13 @@ class CommBram(Device):
             self.tick = (self.tick + steps) & rng.LAST_TICK
             protocol.confirm_rollout(self._settings(self.tick), cycles)
             mirror.begun(mode)
-            memory, observed = self._slots()
-            mirror.continue_from(SlotMemory(config.spec, config.n_envs, memory))
-        except DeviceError:
+            if config.spec.agents > 1 or config.spec.mask_fields or mirror.next_step:
+                memory, (_, self.action_masks, self.in_episode) = self._slots()
+                mirror.continue_from(SlotMemory(config.spec, config.n_envs, memory))
+        except BaseException:
             self.fail()
             raise
-        return result, observed
+        return result
 
     def _slots(self) -> tuple[Array, Observed]:
         """Return the slots' memory as the native device would have it now, and what agents see."""
@@ -200,6 +201,8 @@ class Mirror:
     ----------
     starts
         Where each slot starts, if those starts are stored (``repeats``); the kernels get it in any case.
+    next_step
+        Whether slots that end spend the next step on their reset.
     all_due, due
         Which slots the next step has to start afresh: all, or those masked, ``bool`` of shape ``(n_envs,)``.
     """
@@ -209,13 +212,13 @@ class Mirror:
         self._config = config
         self._kernels = compile_kernels(spec)
         self._results = ResultArrays(config)
-        self._next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
+        self.next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
         self.repeats = config.initial_states == "stored"
         self.starts = SlotMemory(spec, n)
         self.all_due = False
         self.due = np.zeros(n, np.bool_)
         self._mode = Mode(0)
-        if self._next_step:
+        if self.next_step:
             self._mode |= Mode.NEXT_STEP
         if self.repeats:
             self._mode |= Mode.STORED
@@ -258,11 +261,11 @@ class Mirror:
         self._kernels.results(
             words[:-2], words[-2], (words[-1], *absent), self.starts.bytes, reward_table,
             tuple(block.arrays), *seed, self._signed_tick[0],
-            config.first_slot, self._next_step, self.repeats, n, 0, n,
+            config.first_slot, self.next_step, self.repeats, n, 0, n,
         )  # fmt: skip
-        if self._next_step:
+        if self.next_step:
             results.rewards.reshape(n, -1)[self._ended & 1 != 0] = 0
-        if self._next_step or config.spec.agents > 1:
+        if self.next_step or config.spec.agents > 1:
             self._ended = self.ended_after(words[-1])
         return results
 
@@ -290,7 +293,7 @@ class Mirror:
 
     def starting(self, end_bits: Array) -> npt.NDArray[np.bool_]:
         """Return which slots the next step starts afresh, by the hardware's bits after the last one."""
-        return self.due if self._next_step else self.due | self._over(end_bits)
+        return self.due if self.next_step else self.due | self._over(end_bits)
 
     def _over(self, end_bits: Array) -> npt.NDArray[np.bool_]:
         """Return which slots have ended: by the time limit, or as all agents have."""
@@ -302,9 +305,9 @@ class Mirror:
         """Return the column ``ended`` of slots with such bits."""
         over = self._over(end_bits)
         if self._config.spec.agents == 1:
-            return (over & self._next_step).view(np.uint8)
+            return (over & self.next_step).view(np.uint8)
         ended: Array = end_bits << 1
-        ended[over] = self._next_step
+        ended[over] = self.next_step
         return ended
 
     def end_bits_of(self, ended: Array) -> Array:

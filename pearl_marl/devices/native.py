@@ -30,7 +30,7 @@ from pearl_marl.devices.rollouts import Record, Sums
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ActionError
 from pearl_marl.policies.device_policy import DevicePolicy, elements_of
-from pearl_marl.policies.integer_loops import prepared
+from pearl_marl.policies.integer_loops import Prepared, prepared
 from pearl_marl.policies.integer_network import IntegerNetwork
 
 SLOW_STEP_SECONDS = 300e-6
@@ -217,8 +217,7 @@ class Native(Device):
         while done < steps:
             some = min(some, steps - done)
             began = time.perf_counter()
-            part = kept.part(done, done + some)
-            self._run_rollout(kernel, (network, actions), (sums, part, spec.agents, some))
+            self._run_rollout(kernel, network, actions, sums, kept.part(done, done + some), some)
             done += some
             seconds = time.perf_counter() - began
             # Between two parts Ctrl-C has its effect.
@@ -227,7 +226,9 @@ class Native(Device):
         return sums.result(steps, kept.arrays(config) if record else {}), observed
 
     @uninterrupted
-    def _run_rollout(self, kernel: Any, first: tuple[Any, ...], last: tuple[Any, ...]) -> None:
+    def _run_rollout(
+        self, kernel: Any, network: Prepared, actions: Array, sums: Sums, record: Record, steps: int
+    ) -> None:
         """Do some steps of a rollout."""
         elements, masks, in_episode = self.elements()
         if masks is None:
@@ -235,10 +236,11 @@ class Native(Device):
         self._arguments[_SEEDS] = self._seed = self.seed
         arguments = self._arguments.copy()
         arguments[STEP_ARGUMENTS.index("checked")] = 0
-        self._run(
-            kernel, (arguments, self.reward_table, *first, elements, masks, in_episode.view(np.uint8), *last)
-        )
-        self.tick = (self.tick + last[-1]) & rng.LAST_TICK
+        observed = elements, masks, in_episode.view(np.uint8)
+        agents = self.config.spec.agents
+        batch = arguments, self.reward_table, network, actions, *observed, sums, record, agents, steps
+        self._run(kernel, batch)
+        self.tick = (self.tick + steps) & rng.LAST_TICK
 
     def _tune(self, seconds: float) -> None:
         """Learn from one step's time: take more threads for long steps, keep them if they help."""

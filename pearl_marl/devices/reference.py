@@ -22,6 +22,7 @@ from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.devices.base import Device
 from pearl_marl.errors import DeviceError
 from pearl_marl.golden import GoldenFunction, reference
+from pearl_marl.policies.device_policy import elements_of
 from pearl_marl.spec import TERMINATED, EnvSpec, Field
 
 
@@ -179,15 +180,21 @@ class Reference(Device):
             results.in_episode[...] = ~rows
         return results.observed
 
-    def _observe(self, state: list[Array]) -> Array:
-        """Return the observations of all agents, those of one world after the other."""
-        shape = self.config.spec.observation_shape
-        by_agent = [self._observe_one(state, *agent) for agent in self.config.spec.views]
-        return np.stack(by_agent, 1).reshape(-1, *shape)
+    def elements(self) -> Observed:
+        """See :meth:`Device.elements`."""
+        obs = self._observe(self._memory.state, elements_of(self.config.spec))
+        obs[self._memory.ended_early.ravel()] = 0
+        return Observed(obs.reshape(len(obs), -1), self.action_masks, self.in_episode)
 
-    def _observe_one(self, state: list[Array], *agent: int) -> Array:
+    def _observe(self, state: list[Array], form: EnvSpec | None = None) -> Array:
+        """Return the observations of all agents, as ``form`` has them, one world after the other."""
         spec = self.config.spec
-        return observations_of(spec, self._words(spec.positional.observe, state, spec.observation, *agent))
+        form = form or spec
+        by_agent = [
+            observations_of(form, self._words(spec.positional.observe, state, spec.observation, *agent))
+            for agent in spec.views
+        ]
+        return np.stack(by_agent, 1).reshape(-1, *form.observation_shape)
 
     def _reward_values(self, words: Array) -> Array:
         if self.config.spec.rewards is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -179,6 +180,37 @@ def test_a_rollout_is_its_steps(
     assert np.array_equal(hardware.snapshot().memory, native.snapshot().memory)
     hardware.close()
     native.close()
+
+
+def test_nothing_but_sums_crosses_the_link() -> None:
+    """Of a rollout with the policy that is there already: settings, a doorbell, status and sums."""
+    spec = get_spec("CliffWalking")
+    policy = random_table(np.random.default_rng(0), spec, 6, drawn=False)
+    device = Rtl(4, 32, engine=TABLE)
+    device.open(BatchConfig(spec=spec, n_envs=7, max_cycles=13))
+    device.reset(seed=3)
+    device.rollout(policy, 5)
+    transport, layout = device._protocol.transport, memory_map(spec, 7, 4, 32, TABLE)
+    moved: dict[str, set[str]] = {"read": set(), "write": set()}
+    counts = {"read": 0, "write": 0}
+
+    def counting(way: str) -> Any:
+        real = getattr(transport, way)
+
+        def move(offset: int, data: Any) -> None:
+            region = next(r for r in layout.regions if r.offset <= offset < layout.end(r.name))
+            moved[way].add(region.name)
+            counts[way] += data.nbytes * (region.name != "status")
+            real(offset, data)
+
+        return move
+
+    with mock.patch.multiple(transport, read=counting("read"), write=counting("write")):
+        device.rollout(policy, 400)
+    assert moved == {"read": {"status", "statistics"}, "write": {"control", "policy", "doorbell"}}
+    assert counts["read"] == 4 * STATISTICS_WORDS
+    assert counts["write"] < 100
+    device.close()
 
 
 def test_without_an_engine_the_host_acts() -> None:

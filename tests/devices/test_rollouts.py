@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 
 import pearl_marl
 from pearl_marl.batch.rollout import Rollout
-from pearl_marl.devices import BatchConfig, Device, Native, Sharded
+from pearl_marl.devices import BatchConfig, Device, Native, Sharded, rollouts
 from pearl_marl.devices.base import Phase
 from pearl_marl.errors import ArgumentError, DeviceError, OrderError
 from pearl_marl.policies.integer_network import IntegerNetwork
@@ -86,9 +86,13 @@ def test_limits_starts_and_places(name: str, how: dict[str, Any], mode: Autorese
 
 
 @pytest.mark.parametrize("name", ["CliffWalking", "CartPole"])
-def test_in_plain_python(name: str) -> None:
+def test_in_plain_python(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     policy = policy_for(name)
     fast, slow = opened(Native(), name, 5), opened(pearl_marl.devices.make_device("reference"), name, 5)
+    monkeypatch.setattr(rollouts, "look", None)  # which runs compiled code
+    slow_part = slow.rollout(policy, 2)
+    monkeypatch.undo()
+    assert_same(fast.rollout(policy, 2), slow_part)
     assert_same(fast.rollout(policy, STEPS, record=True), slow.rollout(policy, STEPS, record=True))
     assert_same_place(fast, slow)
 
