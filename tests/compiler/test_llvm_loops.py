@@ -9,11 +9,12 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 import pytest
+from gymnasium.spaces import Discrete, MultiDiscrete
 from llvmlite import ir
 
 from pearl_marl.batch.actions import random_actions
@@ -22,8 +23,10 @@ from pearl_marl.compiler import kernels, llvm_loops
 from pearl_marl.compiler.llvm_functions import Code, Column, Value, _Heap
 from pearl_marl.compiler.llvm_words import operations
 from pearl_marl.devices import BatchConfig, Native, Reference
+from pearl_marl.golden import Draws, Word
+from pearl_marl.layout import Array, Bits
 from pearl_marl.registry import get_spec, names
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import EnvSpec, Golden
 
 from ..sampling import sampled
 from ..toy import LADDER
@@ -111,10 +114,37 @@ def own_kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Non
     kernels._loaded.clear()
 
 
-SPECS = [LADDER, MEADOW, *(get_spec(name) for name in names())]
+BEADS = 12
+"""More than a state has in columns: they are in lanes."""
 
 
-@pytest.mark.parametrize("spec", sampled(SPECS, [LADDER]), ids=lambda spec: spec.name)
+class Ring(NamedTuple):
+    beads: Array[Bits[4], BEADS]
+
+
+def ring_step(state: Ring, action: Word, draws: Draws) -> tuple[Ring, Word, Word]:
+    """Each bead takes the place of the one before, whose word is written first."""
+    first, *others = state.beads
+    return Ring([*others, (first + action) & 15]), 0, first == others[-1]
+
+
+RING = EnvSpec(
+    name="Ring",
+    version=0,
+    summary="Beads go around",
+    observation_space=MultiDiscrete([16] * BEADS),
+    action_space=Discrete(3),
+    rewards=(0.0, 1.0),
+    golden=Golden(
+        Ring, lambda draws: Ring([draws.bits(4) for _ in range(BEADS)]), ring_step, lambda state: state.beads
+    ),
+    max_cycles=20,
+)
+
+SPECS = [LADDER, RING, MEADOW, *(get_spec(name) for name in names())]
+
+
+@pytest.mark.parametrize("spec", sampled(SPECS, [LADDER, RING]), ids=lambda spec: spec.name)
 @pytest.mark.usefixtures("own_kernels")
 def test_kernels_in_parts_give_the_results_of_the_reference(
     spec: EnvSpec, monkeypatch: pytest.MonkeyPatch
