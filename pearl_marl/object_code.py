@@ -31,6 +31,7 @@ def compiled(text: str, name: str) -> str:
     symbol = f"{PREFIX}{hashlib.sha256(text.encode()).hexdigest()[:32]}"
     if symbol not in _objects:
         module = llvm.parse_assembly(text.replace(f'@"{name}"', f'@"{symbol}"'))
+        module.verify()  # or LLVM ends the process where something is wrong
         _, machine = _engine()
         module.data_layout = str(machine.target_data)
         tuning = llvm.create_pipeline_tuning_options(speed_level=3)
