@@ -23,15 +23,8 @@ Into = Annotated[
         show_default="integers.safetensors in the run folder",
     ),
 ]
-Episodes = Annotated[
-    int | None,
-    typer.Option(
-        "--n-agents",
-        min=2,
-        help="Agents of each of the two evaluations, an episode each; a multiple of a world's.",
-        show_default="about 1,000",
-    ),
-]
+AGENTS = 1000
+Agents = Annotated[int | None, common.agents_option(AGENTS)]
 WeightBits = Annotated[int, typer.Option("--weight-bits", min=4, max=16, help="Width of weights.")]
 ActivationBits = Annotated[
     int, typer.Option("--activation-bits", min=4, max=16, help="Width of what goes from layer to layer.")
@@ -43,7 +36,7 @@ def command(
     out: Into = None,
     weight_bits: WeightBits = 8,
     activation_bits: ActivationBits = 8,
-    n_agents: Episodes = None,
+    n_agents: Agents = None,
     seed: common.Seed = 0,
     as_json: common.AsJson = False,
 ) -> None:
@@ -61,10 +54,11 @@ def command(
         raise ArgumentError(f"--out is {file}; it must be a file that ends in .safetensors")
     common.check_file("--out", file)
     try:
-        work = Quantization(run, n_agents, seed, weight_bits, activation_bits)
+        work = Quantization(run, seed, weight_bits, activation_bits)
     except ModuleNotFoundError as error:
         raise ArgumentError(f"{run} takes {error.name}: pip install '.[train]'") from None
-    for _ in common.progress(work.run(), work.n_agents, "Evaluating"):
+    n_agents = common.agents_of(work.spec, n_agents, AGENTS)
+    for _ in common.progress(work.run(n_agents), n_agents, "Evaluating"):
         pass
     integer_file.save(work.network, file)
     figures = work.summary()
@@ -80,9 +74,10 @@ def command(
             ),
             ("change", figures["change"]),
         ):
-            grid.add_row(name, f"{row['mean']:,.2f}", f"{row['ci95_low']:,.2f} to {row['ci95_high']:,.2f}")
+            low, high = row["ci95_low"], row["ci95_high"]
+            grid.add_row(name, f"{row['mean']:,.2f}", "-" if low is None else f"{low:,.2f} to {high:,.2f}")
         console.print(grid)
-        if figures["change"]["ci95_high"] < 0:
+        if (figures["change"]["ci95_high"] or 0) < 0:
             error_console.print(
                 f"The policy in integers is worse, by {-figures['change']['mean']:,.2f}: more bits may help "
                 "(--weight-bits, --activation-bits).",

@@ -28,8 +28,6 @@ class Quantization:
     ----------
     path
         What ``pearl train`` made: a run folder, or its ``policy.safetensors``.
-    n_agents
-        How many agents each of the two policies acts for, an episode each.
     seed
         Of both evaluations, so that they meet the same starts.
     weight_bits, activation_bits
@@ -49,18 +47,18 @@ class Quantization:
     before: Array
     after: Array
 
-    def __init__(
-        self, path: Path, n_agents: int | None, seed: int, weight_bits: int, activation_bits: int
-    ) -> None:
+    def __init__(self, path: Path, seed: int, weight_bits: int, activation_bits: int) -> None:
         from pearl_marl.policies import trained  # which takes torch
 
         self._policy = trained.load(path)
         self.spec = self._policy.spec
-        self.n_agents = max(1000 // self.spec.agents, 1) * self.spec.agents if n_agents is None else n_agents
         self._seed, self._bits = seed, (weight_bits, activation_bits)
 
-    def run(self) -> Iterator[None]:
-        """Evaluate, quantise, evaluate again; yields for every agent whose first episode has ended."""
+    def run(self, n_agents: int) -> Iterator[None]:
+        """Evaluate, quantise, evaluate again, with so many agents and an episode each.
+
+        Yields for every agent whose episode under the trained policy has ended.
+        """
         from pearl_marl.policies.quantizing import quantized
 
         samples: list[Array] = []
@@ -74,7 +72,7 @@ class Quantization:
             return self._policy.choose(observations, masks)
 
         self._policy.seed(self._seed)
-        evaluation = Evaluation(self.spec, acting, self.n_agents, seed=self._seed)
+        evaluation = Evaluation(self.spec, acting, n_agents, seed=self._seed)
         yield from evaluation.run()
         self.before = evaluation.returns
         self.network = quantized(self._policy, np.concatenate(samples), *self._bits)
@@ -90,17 +88,20 @@ class Quantization:
     def summary(self) -> dict[str, Any]:
         """Return all figures by name, for JSON."""
         before, after = interval(self.before), interval(self.after)
+        n = len(self.before)
         change = float(self.after.mean() - self.before.mean())
-        spread = [float(returns.var(ddof=1)) / len(returns) for returns in (self.before, self.after)]
-        half = CONFIDENCE * math.sqrt(sum(spread)) if self.n_agents > 1 else math.nan
+        low = high = None
+        if n > 1:
+            half = CONFIDENCE * math.sqrt((self.before.var(ddof=1) + self.after.var(ddof=1)) / n)
+            low, high = change - half, change + half
         return {
             "environment": self.spec.id,
             "options": dict(self.spec.options),
             "weight_bits": self._bits[0],
             "activation_bits": self._bits[1],
-            "n_agents": self.n_agents,
+            "n_agents": n,
             "seed": self._seed,
             "return_before": before,
             "return_after": after,
-            "change": {"mean": change, "ci95_low": change - half, "ci95_high": change + half},
+            "change": {"mean": change, "ci95_low": low, "ci95_high": high},
         }

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from pearl_marl.checks import checked_integer
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies import dense
 from pearl_marl.policies.device_policy import Array
@@ -61,9 +62,8 @@ def quantized(
     ArgumentError
         The widths are impossible, or the policy has a network of its own for each agent of a world.
     """
-    for name, bits in (("weight_bits", weight_bits), ("activation_bits", activation_bits)):
-        if isinstance(bits, bool) or not isinstance(bits, int) or not BITS[0] <= bits <= BITS[1]:
-            raise ArgumentError(f"{name} is {bits!r}; it must be an integer from {BITS[0]} to {BITS[1]}")
+    checked_integer("weight_bits", weight_bits, *BITS)
+    checked_integer("activation_bits", activation_bits, *BITS)
     if isinstance(policy, Table):
         return _of_table(policy)
     network: Any = policy.network

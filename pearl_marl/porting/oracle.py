@@ -325,9 +325,7 @@ def compare(
         over = mine.terminated.all(1)
         late = elapsed >= spec.max_cycles if spec.max_cycles else np.zeros(n, np.bool_)
         mine = mine._replace(truncated=late & ~over)
-
         recent.append(chosen)
-
         errors = judge.compare(ours, mine, theirs, every, where)
         ended = over | late
         mine = mine._replace(state=theirs.state, undecided=theirs.undecided)
