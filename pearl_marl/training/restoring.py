@@ -19,7 +19,7 @@ from pearl_marl.spec import EnvSpec
 def whole(name: str, value: Any) -> int:
     """Return a number of things."""
     if type(value) is not int or not 0 <= value < 1 << 63:
-        raise ArgumentError(f"its {name} is {shown(value)}; it must be a whole number from 0")
+        raise ArgumentError(f"its {name} is {shown(value)}; it must be an integer from 0")
     return value
 
 

@@ -126,7 +126,7 @@ class Training:
     def __post_init__(self) -> None:
         if self.evaluate_every is not None and self.evaluate_every < 1:
             raise ArgumentError(
-                f"--evaluate-every is {self.evaluate_every}; it must be a whole number of at least 1"
+                f"--evaluate-every is {self.evaluate_every}; it must be an integer of at least 1"
             )
         if self.goal is not None and not math.isfinite(self.goal):
             raise ArgumentError(f"--goal is {self.goal}; it must be a finite number")

@@ -6,13 +6,12 @@ import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from numbers import Integral, Real
 from typing import Any
 
 import torch
 
 from pearl_marl.batch.results import memory_of_machine
-from pearl_marl.checks import MANY
+from pearl_marl.checks import MANY, Range
 from pearl_marl.devices import Cuda
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec
@@ -24,42 +23,18 @@ WIDEST = 2**14
 """The widest layer of a network: its weights take a gigabyte."""
 
 
-@dataclass(frozen=True)
-class Range:
-    """The numbers from ``least`` to ``most``; without ``least`` itself, if only those above it."""
-
-    least: float
-    most: float
-    above: bool
-    whole: bool
-
-    def __contains__(self, value: Any) -> bool:
-        if isinstance(value, bool) or not isinstance(value, Integral if self.whole else Real):
-            return False
-        figure: Any = value
-        enough = figure > self.least if self.above else figure >= self.least
-        return bool(enough and figure <= self.most and figure != math.inf)
-
-    def __str__(self) -> str:
-        kind = "a whole number" if self.whole else "a number"
-        if self.most == math.inf:
-            return f"{kind} {'above' if self.above else 'of at least'} {self.least:,}"
-        first = f"above {self.least:,} up" if self.above else f"from {self.least:,}"
-        return f"{kind} {first} to {self.most:,}"
-
-
 def _setting(default: Any, values: Range | Choice, formerly: str) -> Any:
     return field(default=default, metadata={"range": values, "formerly": formerly})
 
 
 def count(default: int, least: int = 1, most: int = MANY, formerly: str = "") -> Any:
     """Return a setting that counts something; ``formerly`` is its name before it was renamed."""
-    return _setting(default, Range(least, most, above=False, whole=True), formerly)
+    return _setting(default, Range(least=least, most=most, whole=True), formerly)
 
 
 def number(default: float, most: float = math.inf, above: bool = False, formerly: str = "") -> Any:
     """Return a setting that is a finite number from 0, or above 0 only, if ``above``."""
-    return _setting(default, Range(0, most, above, whole=False), formerly)
+    return _setting(default, Range(above=0, most=most) if above else Range(least=0, most=most), formerly)
 
 
 @dataclass(frozen=True)

@@ -22,19 +22,19 @@ Pearl = Callable[..., tuple[int, str, str]]
 
 SET = {
     "ppo": {
-        "rollout_length=0": "a whole number from 1 to",
-        "epochs=0": "a whole number from 1 to",
-        "minibatch=0": "a whole number from 1 to",
-        "minibatch=-3": "a whole number from 1 to",
-        "minibatch=2.5": "a whole number from 1 to",
-        "minibatch=true": "a whole number from 1 to",
-        "width=0": "a whole number from 1 to 16,384",
-        "width=10000000": "a whole number from 1 to 16,384",
-        "learning_rate=0": "a number above 0 up to 1",
-        "learning_rate=NaN": "a number above 0 up to 1",
-        "learning_rate=Infinity": "a number above 0 up to 1",
-        "learning_rate=-1e999": "a number above 0 up to 1",
-        "learning_rate=high": "a number above 0 up to 1",
+        "rollout_length=0": "an integer from 1 to",
+        "epochs=0": "an integer from 1 to",
+        "minibatch=0": "an integer from 1 to",
+        "minibatch=-3": "an integer from 1 to",
+        "minibatch=2.5": "an integer from 1 to",
+        "minibatch=true": "an integer from 1 to",
+        "width=0": "an integer from 1 to 16,384",
+        "width=10000000": "an integer from 1 to 16,384",
+        "learning_rate=0": "a number above 0 to 1",
+        "learning_rate=NaN": "a number above 0 to 1",
+        "learning_rate=Infinity": "a number above 0 to 1",
+        "learning_rate=-1e999": "a number above 0 to 1",
+        "learning_rate=high": "a number above 0 to 1",
         "discount=1.5": "a number from 0 to 1",
         "discount=-0.1": "a number from 0 to 1",
         "gae_lambda=NaN": "a number from 0 to 1",
@@ -42,21 +42,21 @@ SET = {
         "entropy=-1": "a number of at least 0",
         "entropy=Infinity": "a number of at least 0",
         "reward_scale=NaN": "a number above 0",
-        "blocks=0": "a whole number from 1 to",
+        "blocks=0": "an integer from 1 to",
         "blocks=2000": "1 to 512",
     },
     "dqn": {
-        "memory=0": "a whole number from 1 to",
-        "updates=0": "a whole number from 1 to",
-        "target_update=0": "a whole number from 1 to",
-        "warm_up=-1": "a whole number from 0 to",
-        "exploration_fraction=0": "a number above 0 up to 1",
+        "memory=0": "an integer from 1 to",
+        "updates=0": "an integer from 1 to",
+        "target_update=0": "an integer from 1 to",
+        "warm_up=-1": "an integer from 0 to",
+        "exploration_fraction=0": "a number above 0 to 1",
         "epsilon=2": "a number from 0 to 1",
     },
     "q-learning": {
-        "learners=0": "a whole number from 1 to",
+        "learners=0": "an integer from 1 to",
         "learners=5": "it must divide n_agents, 43008",
-        "learning_rate=0": "a number above 0 up to 1",
+        "learning_rate=0": "a number above 0 to 1",
         "epsilon=1.5": "a number from 0 to 1",
         "learning_rate_decay=-1": "a number of at least 0",
     },
@@ -151,18 +151,18 @@ def test_what_is_set(pearl: Pearl, algorithm: str, given: str, words: str, tmp_p
 @pytest.mark.parametrize(
     ("option", "value", "words"),
     [
-        ("--iterations", 0, "--iterations is 0; it must be a whole number from 1 to"),
-        ("--iterations", -1, "--iterations is -1; it must be a whole number from 1 to"),
-        ("--n-agents", 0, "--n-agents is 0; it must be a whole number from 1 to 4,294,967,296"),
+        ("--iterations", 0, "--iterations is 0; it must be an integer from 1 to"),
+        ("--iterations", -1, "--iterations is -1; it must be an integer from 1 to"),
+        ("--n-agents", 0, "--n-agents is 0; it must be an integer from 1 to 4,294,967,296"),
         (
             "--n-agents",
             5_000_000_000,
-            "--n-agents is 5000000000; it must be a whole number from 1 to",
+            "--n-agents is 5000000000; it must be an integer from 1 to",
         ),
         ("--seed", -1, "--seed is -1; it must be at least 0"),
-        ("--seed", 2**63, "--seed is 9223372036854775808; it must be a whole number from 0 to"),
-        ("--evaluate-every", 0, "--evaluate-every is 0; it must be a whole number of at least 1"),
-        ("--evaluate-every", -5, "--evaluate-every is -5; it must be a whole number of at least 1"),
+        ("--seed", 2**63, "--seed is 9223372036854775808; it must be an integer from 0 to"),
+        ("--evaluate-every", 0, "--evaluate-every is 0; it must be an integer of at least 1"),
+        ("--evaluate-every", -5, "--evaluate-every is -5; it must be an integer of at least 1"),
         ("--goal", "nan", "--goal is nan; it must be a finite number"),
         ("--set", "depth", "--set is 'depth'; it must be NAME=VALUE"),
         ("--option", "depth", "--option is 'depth'; it must be NAME=VALUE"),
@@ -208,7 +208,7 @@ def test_what_no_machine_can_hold_is_refused(algorithm: str, given: dict[str, An
 
 @pytest.mark.parametrize("algorithm", training.SETTINGS)
 def test_settings_made_by_hand_are_checked_too(algorithm: str) -> None:
-    with pytest.raises(ArgumentError, match=re.escape("'iterations' is 0; it must be a whole number from 1")):
+    with pytest.raises(ArgumentError, match=re.escape("'iterations' is 0; it must be an integer from 1")):
         training.SETTINGS[algorithm](iterations=0)
 
 
