@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pearl_marl import envs, get_spec
+from pearl_marl import get_spec, list_envs
 from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.cli.envs import markdown
 from pearl_marl.spec import word_bits
@@ -22,11 +22,11 @@ def test_the_page_is_that_of_the_registry() -> None:
     before, marker, tables = PAGE.read_text().partition(" `pearl envs --markdown`, to the last line. -->\n\n")
     assert before
     assert marker
-    expected = markdown([get_spec(name) for name in envs()])
+    expected = markdown([get_spec(name) for name in list_envs()])
     assert tables == expected, "replace the page's end by what `pearl envs --markdown` prints"
 
 
-@pytest.mark.parametrize("name", [name for name in TABLE_2 if name in envs()])
+@pytest.mark.parametrize("name", [name for name in TABLE_2 if name in list_envs()])
 def test_no_word_is_wider_than_the_papers(name: str) -> None:
     spec = get_spec(name)
     ours = (

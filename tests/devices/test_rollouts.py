@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Iterator
 from typing import Any
 from unittest import mock
 
@@ -205,6 +206,15 @@ def test_order() -> None:
         pearl_marl.wrappers.clip_reward_v0(env).rollout(policy, 5)
 
 
+@pytest.fixture
+def ctrl_c() -> Iterator[None]:
+    # As a program has it: a shell that starts tests may have set another handler.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("ctrl_c")
 def test_an_interrupt_between_parts_undoes_the_rollout() -> None:
     device = opened(Native(), "CartPole", 3)
     before = device.snapshot().to_bytes()

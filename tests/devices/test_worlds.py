@@ -336,7 +336,7 @@ def wrong(error: str, base: EnvSpec = MEADOW, **changes: Any) -> None:
 
 
 def test_what_a_spec_may_not_say() -> None:
-    wrong(r"agents is 64; a world has 1 to 63", agents=64)
+    wrong(r"agents is 64; it must be an integer from 1 to 63", agents=64)
     wrong(r"agents is True", agents=True)
     wrong(r"masked is 'no'; possible are 'stay' and 'refused'", masked="no")
     bare = MEADOW.golden._replace(masks=None)
