@@ -19,7 +19,7 @@ from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.checks import checked_flag, checked_integer
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.device_policy import DevicePolicy, elements_of, policy_draws
+from pearl_marl.policies.device_policy import Choice, DevicePolicy, elements_of, policy_draws
 from pearl_marl.spec import EnvSpec
 
 
@@ -74,7 +74,7 @@ class Sums(NamedTuple):
         """Return the result of a rollout of so many steps, with what was recorded of them."""
         return Rollout(
             steps=steps,
-            truncated=int(self.truncated.sum()),
+            truncated=self.truncated,
             returns=self.returns,
             squares=self.squares,
             lengths=self.lengths,
@@ -123,18 +123,34 @@ class Record(NamedTuple):
         else:
             scale = np.array([2.0**-field.fraction for field in spec.observation], dtype)
             observations = self.elements.astype(dtype) * scale
-        fractions = np.array([2.0**-field.fraction for field in spec.action_fields])
-        actions = self.words * fractions if fractions.min() < 1 else self.words
-        space = spec.action_space
         return {
             "observations": observations.reshape(shape),
             "action_masks": self.masks if spec.mask_fields else None,
-            "actions": actions.astype(space.dtype).reshape(*self.rewards.shape, *(space.shape or ())),
+            "actions": actions_of(spec, self.words),
             "rewards": self.rewards,
             "terminations": self.terminations.view(np.bool_),
             "truncations": self.truncations.view(np.bool_),
             "logits": self.logits if self.logits.shape[2] else None,
         }
+
+
+def actions_of(spec: EnvSpec, words: Array) -> Array:
+    """Return words of actions, of shape ``(..., fields)``, as an environment takes them."""
+    fractions = np.array([2.0**-field.fraction for field in spec.action_fields])
+    actions = words * fractions if fractions.min() < 1 else words
+    space = spec.action_space
+    return actions.astype(space.dtype).reshape(*words.shape[:-1], *(space.shape or ()))
+
+
+def chosen(
+    config: BatchConfig, policy: DevicePolicy, observed: Observed, seed: tuple[int, int], tick: int
+) -> Choice:
+    """Return what a policy chooses for all agents at a tick, of elements and masks that they are shown."""
+    agents = config.spec.agents
+    slots = np.repeat(config.first_slot + np.arange(config.n_envs), agents)
+    rows = np.tile(np.arange(agents), config.n_envs)
+    draws = policy_draws(policy.draws, seed, tick, slots, rows, agents)
+    return policy.choose(observed.obs, rows, observed.action_masks, draws)
 
 
 def check(config: BatchConfig, policy: object, steps: Any, record: object, episodes: object) -> None:
@@ -197,21 +213,17 @@ def by_steps(
     slots with the words of actions.
     """
     spec = config.spec
-    slots = np.repeat(config.first_slot + np.arange(config.n_envs), spec.agents)
-    agents = np.tile(np.arange(spec.agents), config.n_envs)
     room = room_for_words(spec, config.n_agents)
     for t in range(steps):
-        elements, masks, _ = see()
-        seed, tick = position()
-        draws = policy_draws(policy.draws, seed, tick, slots, agents, spec.agents)
-        choice = policy.choose(elements, agents, masks, draws)
+        seen = see()
+        choice = chosen(config, policy, seen, *position())
         room.reshape(choice.words.shape)[:] = choice.words
         result = step(room).on_host()
         sums.add(result, config.autoreset_mode is AutoresetMode.NEXT_STEP)
         if record is not None:
-            record.elements[t], record.words[t] = elements, choice.words
-            if masks is not None:
-                record.masks[t] = masks
+            record.elements[t], record.words[t] = seen.obs, choice.words
+            if seen.action_masks is not None:
+                record.masks[t] = seen.action_masks
             record.rewards[t], record.terminations[t] = result.rewards, result.terminations
             record.truncations[t] = result.truncations
             if choice.logits is not None:

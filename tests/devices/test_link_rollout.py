@@ -150,7 +150,7 @@ def test_a_rollout_is_its_steps(
             )
         found = hardware.rollout(policy, steps)
         obs = step_by_step(native, obs, policy, steps, sums)
-        assert (found.episodes, found.truncated) == (sums.ended, sums.truncated)
+        assert (found.episodes, *found.truncated) == (sums.ended, sums.truncated)
         assert (found.lengths.sum(), found.returns.sum()) == (sums.lengths, sums.returns)
         episodes += found.episodes
         assert hardware.tick == native.tick
