@@ -19,7 +19,7 @@ from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.checks import checked_flag, checked_integer
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.device_policy import Choice, DevicePolicy, elements_of, policy_draws
+from pearl_marl.policies.device_policy import Choice, DevicePolicy, policy_draws
 from pearl_marl.spec import EnvSpec
 
 
@@ -98,7 +98,7 @@ class Record(NamedTuple):
     def of(cls, config: BatchConfig, steps: int, logits: int) -> Record:
         """Return room for so many steps."""
         spec, n = config.spec, config.n_agents
-        seen = elements_of(spec)
+        seen = spec.in_elements
         rows, masks = (steps, n), len(spec.mask_fields)
         return cls(
             np.empty((*rows, seen.observation_size), element_dtype(seen)),
@@ -118,7 +118,7 @@ class Record(NamedTuple):
         """Return the steps as a :class:`Rollout` has them: as an environment takes and gives them."""
         spec = config.spec
         shape, dtype = (*self.rewards.shape, *spec.observation_shape), spec.observation_dtype
-        if elements_of(spec) is spec:
+        if spec.in_elements is spec:
             observations = self.elements.view(dtype) if dtype == np.bool_ else self.elements
         else:
             scale = np.array([2.0**-field.fraction for field in spec.observation], dtype)
@@ -171,7 +171,7 @@ def check(config: BatchConfig, policy: object, steps: Any, record: object, episo
         checked_integer("episodes", episodes, note=" or None")
     checked_flag("record", record)
     if record:
-        seen = elements_of(spec)
+        seen = spec.in_elements
         each = 2 * seen.observation_size * element_dtype(seen).itemsize + len(spec.mask_fields)
         check_memory(config, int(steps) * (each + 16 * len(spec.action_fields) + 6 + 4 * policy.logits))
 
@@ -186,7 +186,7 @@ def look(config: BatchConfig, memory: Array) -> Observed:
 
     Observations have the shape ``(n_agents, elements)``.
     """
-    spec, n = elements_of(config.spec), config.n_agents
+    spec, n = config.spec.in_elements, config.n_agents
     obs = np.empty((n, *spec.observation_shape), element_dtype(spec))
     masks = np.zeros((n, len(spec.mask_fields)), np.int8)
     in_episode = np.ones(n, np.uint8)
