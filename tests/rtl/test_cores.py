@@ -192,12 +192,12 @@ def generated(rows: list[tuple[str, dict[str, Any], Target]], limit: int, folder
 
 @pytest.mark.parametrize("number", range(len(ENVIRONMENTS)), ids=[f"{e}-{t}" for e, _, t in ENVIRONMENTS])
 def test_cores_of_environments(number: int, once: Any) -> None:
-    check("environments", partial(generated, ENVIRONMENTS, 1_500), number, once)
+    check("environments", partial(generated, ENVIRONMENTS, 700), number, once)
 
 
 @pytest.mark.parametrize("number", range(len(RANDOM)))
 def test_cores_of_random_golden_functions(number: int, once: Any) -> None:
-    check("random", partial(generated, RANDOM, 700), number, once)
+    check("random", partial(generated, RANDOM, 400), number, once)
 
 
 OWN = [{}, {"noise": 0xA6}]

@@ -50,7 +50,7 @@ def test_cores_and_netlists(numbers: range, tmp_path: Path) -> None:
     variants, wrong = cores(numbers, tmp_path), []
     found = netlists([variant.design.sources[0] for variant in variants], tmp_path)
     for number, variant, path in zip(numbers, variants, found, strict=True):
-        inputs, due = random_cases(wide_spec(number), 1_000)
+        inputs, due = random_cases(wide_spec(number), 400)
         hold = inputs["hold_i"]
         count, ready = (
             len(hold),
