@@ -18,9 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pearl_marl.compiler import scalar_words
-from pearl_marl.compiler.cuda_source import cuda_source
+from pearl_marl.compiler.cuda_source import cuda_rollout_source, cuda_source
 from pearl_marl.compiler.kernels import functions, kernel_name
-from pearl_marl.compiler.loading import load, with_callees
+from pearl_marl.compiler.loading import fingerprint, load, with_callees
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.machine_code import Entries
 from pearl_marl.spec import EnvSpec
@@ -57,31 +57,52 @@ def compile_cuda_kernels(spec: EnvSpec) -> CudaKernels:
 
     A ModuleNotFoundError says that numba-cuda is not installed.
     """
+    module, path = _module("cuda", spec, cuda_source(spec), {})
+    return CudaKernels(module.reset, module.step, module.advance, path)
+
+
+def compile_cuda_rollout(spec: EnvSpec, act: GoldenFunction) -> Any:
+    """Return the rollout of an environment, for numba-cuda to launch.
+
+    ``rollout(memory, stored, actions, table, results, wrong, network, room, sums, rewards_at,
+    terminations_at, truncations_at, final_at, seed_0, seed_1, tick, first_slot, limit, next_step, use_stored,
+    steps, n)`` does so many steps of every slot, with what :func:`compile_cuda_kernels` describes. It begins
+    with the observations in ``results``. ``act(network, room, observations, at, agent, masks, masks_at,
+    where, actions, actions_at, thread)`` writes the words of an agent's action, where ``where`` are slot,
+    tick and seed; ``sums`` has the arrays of :class:`pearl_marl.devices.rollouts.Sums`.
+    """
+    return _module("cuda_rollout", spec, cuda_rollout_source(spec), {"act": act})[0].rollout
+
+
+def _module(kind: str, spec: EnvSpec, source: str, others: dict[str, GoldenFunction]) -> tuple[Any, Path]:
+    """Return the module of a source, and its file; of the functions that it calls, ``others`` stay calls."""
     cuda: Any = import_module("numba.cuda")
-    source = cuda_source(spec)
     versions = (
         metadata.version("numba"),
         metadata.version("numba-cuda"),
         np.__version__,
         inspect.getsource(scalar_words),
+        *(fingerprint(function).hex() for function in others.values()),
     )
-    name = "cuda_" + kernel_name(spec, source, versions)
+    name = f"{kind}_{kernel_name(spec, source, versions)}"
     key = name, simulated()
     if key not in _loaded:
         called: dict[str, Any] = {**functions(spec), **scalar_words.operations()}
         if simulated():
             kernel, inlined = cuda.jit, _wrapping
-            called = {name: _wrapping(f) for name, f in called.items()}
+            called = {name: _wrapping(f) for name, f in {**called, **others}.items()}
         else:
             kernel, inlined = partial(_kernel, cuda, name), partial(cuda.jit, device=True, forceinline=True)
             done: dict[types.FunctionType, Any] = {}
             called = {name: with_callees(f, done, inlined) for name, f in called.items()}
-        module, path = load(name, source, kernel=kernel, inlined=inlined, cuda=cuda, **called)
-        _loaded[key] = CudaKernels(module.reset, module.step, module.advance, path)
+            called |= {
+                name: with_callees(f, done, partial(cuda.jit, device=True)) for name, f in others.items()
+            }
+        _loaded[key] = load(name, source, kernel=kernel, inlined=inlined, cuda=cuda, **called)
     return _loaded[key]
 
 
-_loaded: dict[tuple[str, bool], CudaKernels] = {}
+_loaded: dict[tuple[str, bool], tuple[Any, Path]] = {}
 
 
 def _kernel(cuda: Any, name: str, function: Callable[..., Any]) -> Any:

@@ -6,6 +6,7 @@ asked for as tensors: then a step only queues its launch and returns, and nothin
 
 from __future__ import annotations
 
+import time
 import warnings
 from bisect import bisect_right
 from collections.abc import Iterator
@@ -24,14 +25,22 @@ from pearl_marl import rng
 from pearl_marl.batch.actions import limits
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import Layout, ResultArrays
+from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.slot_memory import SlotMemory, size
 from pearl_marl.batch.step import Array, BatchStep, Observed, on_host
-from pearl_marl.compiler.cuda_kernels import THREADS, compile_cuda_kernels, simulated
+from pearl_marl.compiler.cuda_kernels import THREADS, compile_cuda_kernels, compile_cuda_rollout, simulated
 from pearl_marl.devices.base import Device
+from pearl_marl.devices.rollouts import Sums
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError
+from pearl_marl.policies.device_policy import DevicePolicy
+from pearl_marl.policies.integer_network import IntegerNetwork
+from pearl_marl.policies.integer_threads import Room, act, room_sizes, thread_network
 
 RESIDENT_THREADS = 2048
 """Threads that a processor of a GPU holds at most. More are not started: each takes slot after slot."""
+
+ROLLOUT_SECONDS = 0.1
+"""How long a launch of a rollout lasts at most, about."""
 
 NOTHING_REFUSED = (1 << 63) - 1
 
@@ -164,11 +173,7 @@ class Cuda(Device):
     def _step(self, actions: Array | _OnGpu) -> BatchStep:
         config, layout = self.config, self._result_layout
         with _failures():
-            if self._uploaded is not self.reward_table:
-                # Where rewards are computed there is no table, and the kernel does not look.
-                table = self.reward_table if self.reward_table.size else np.zeros(1, np.float32)
-                self._rewards_there = self._gpu.to_device(table, stream=self._stream())
-                self._uploaded = self.reward_table
+            self._upload_rewards()
             if isinstance(actions, _OnGpu):
                 words, numbers = actions
             else:
@@ -189,6 +194,60 @@ class Cuda(Device):
             if layout.starts[4] and results.ended.any():
                 self._pieces[4].copy_to_host(layout.pieces(host.memory)[4])
         return results
+
+    def _upload_rewards(self) -> None:
+        if self._uploaded is not self.reward_table:
+            # Where rewards are computed there is no table, and the kernel does not look.
+            table = self.reward_table if self.reward_table.size else np.zeros(1, np.float32)
+            self._rewards_there = self._gpu.to_device(table, stream=self._stream())
+            self._uploaded = self.reward_table
+
+    def _rollout(
+        self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
+    ) -> tuple[Rollout, Observed]:
+        if record or not isinstance(policy, IntegerNetwork):
+            return super()._rollout(policy, steps, record, episodes)
+        elapsed = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).elapsed
+        config = replace(self.config, spec=self.config.spec.in_elements)
+        agents, n, layout = config.spec.agents, config.n_envs, Layout(config)
+        sums: Any = Sums.of(elapsed.repeat(agents), on_host(self.in_episode), episodes)
+        nobody, position = np.zeros(n, np.uint8), (*self.seed, rng.signed(self.tick), config.first_slot)
+        with _failures():
+            self._upload_rewards()
+            block = self._gpu.device_array(layout.size, np.uint8)
+            memory = self._memory, self._stored
+            first = compile_cuda_kernels(config.spec).reset
+            starts = *layout.starts[5:], *position
+            self._launch(first, *memory, self._gpu.to_device(nobody), block, *starts, False, n)
+            network = thread_network(policy)
+            inputs, outputs = room_sizes(network)
+            threads = self._grid[0] * self._grid[1]
+            room = Room(
+                self._gpu.device_array((2, inputs, threads), np.int16),
+                self._gpu.device_array((outputs, threads), np.int32),
+            )
+            there, sums = self._copied(network), self._copied(sums)
+            kernel = compile_cuda_rollout(config.spec, act)
+            arrays = *memory, self._words, self._rewards_there, block, self._wrong, there, room, sums
+            done, some = 0, 1
+            while done < steps:
+                some, began = min(some, steps - done), time.perf_counter()
+                position = (*self.seed, rng.signed(self.tick), config.first_slot)
+                how = config.limit, self._next_step, self._stored is not self._memory
+                self._launch(kernel, *arrays, *layout.starts[1:], *position, *how, some, n)
+                self._gpu.synchronize()
+                done, self.tick = done + some, (self.tick + some) & rng.LAST_TICK
+                # Between two launches Ctrl-C has its effect.
+                seconds = max(time.perf_counter() - began, 1e-6)
+                some = max(1, int(some * min(8.0, ROLLOUT_SECONDS / seconds)))
+            sums = Sums(*(array.copy_to_host() for array in sums))
+        observed = self._observe(nobody.astype(np.bool_), again=False)
+        return sums.result(steps, {}), observed
+
+    def _copied(self, arrays: Any) -> Any:
+        """Return a NamedTuple with its arrays on the GPU."""
+        there = (self._gpu.to_device(value) if isinstance(value, np.ndarray) else value for value in arrays)
+        return type(arrays)(*there)
 
     def _begin(self, words: Any) -> tuple[Any, Future[BatchStep]]:
         if isinstance(words, _OnGpu):  # queued here and now, as nothing waits for it

@@ -21,6 +21,7 @@ from gymnasium.vector import AutoresetMode
 import pearl_marl
 from pearl_marl import wrappers
 from pearl_marl.batch.actions import random_actions
+from pearl_marl.batch.step import on_host
 from pearl_marl.benchmark.measure import measure
 from pearl_marl.benchmark.steps import contenders
 from pearl_marl.compiler.cuda_source import cuda_source
@@ -28,6 +29,7 @@ from pearl_marl.devices import BatchConfig, Cuda, Lockstep, Native, Sharded, cud
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError
 from pearl_marl.verification import runs, verify
 
+from ..policies.networks import random_network
 from ..sampling import sampled
 
 pytest.importorskip("numba_cuda", reason="numba-cuda is not installed: pip install '.[cuda]'")
@@ -86,6 +88,28 @@ def test_tensors_hold_what_arrays_hold(name: str, copy: bool, mode: AutoresetMod
         np.testing.assert_array_equal(device.state(), native.state())
     device.send(on_gpu(actions))
     np.testing.assert_array_equal(device.recv().obs.cpu(), native.step(actions).obs)
+
+
+ROLLED = sampled(pearl_marl.list_envs(), ("CartPole", "CliffWalking", "ConnectFour"))
+
+
+@pytest.mark.parametrize("results", ["numpy", "torch"])
+@pytest.mark.parametrize("name", ROLLED)
+def test_rollouts_are_those_of_the_cpu(name: str, results: str) -> None:
+    """In both modes, with limits, draws of the policy and masks; and everything goes on the same way."""
+    mode = {"numpy": AutoresetMode.SAME_STEP, "torch": AutoresetMode.NEXT_STEP}[results]
+    options: dict[str, Any] = {"max_cycles": 6, "autoreset_mode": mode}
+    ours, native = opened(name, results, **options), Native().open(config(name, **options))
+    policy = random_network(native.config.spec, 5)
+    for device in (ours, native):
+        device.reset(seed=3)
+    for steps in (2, 13):
+        rolled, due = ours.rollout(policy, steps, episodes=2), native.rollout(policy, steps, episodes=2)
+        for what, array in vars(due).items():
+            np.testing.assert_array_equal(getattr(rolled, what), array, what)
+    assert due.episodes
+    assert ours.snapshot().to_bytes() == native.snapshot().to_bytes()
+    np.testing.assert_array_equal(on_host(ours.in_episode), native.in_episode)
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "dqn", "q-learning"])
@@ -369,6 +393,19 @@ def test_every_environment_on_a_real_gpu(name: str) -> None:
         for _ in verify(run, Lockstep("cuda", "native"), seed=3):
             pass
         assert run.exact
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("name", pearl_marl.list_envs())
+def test_rollouts_on_a_real_gpu(name: str) -> None:
+    devices = Cuda("numpy").open(config(name, 5_000)), Native().open(config(name, 5_000))
+    policy = random_network(pearl_marl.get_spec(name), 5)
+    found = []
+    for device in devices:
+        device.reset(seed=3)
+        found.append((*vars(device.rollout(policy, 120)).values(), device.state()))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.gpu
