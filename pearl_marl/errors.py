@@ -58,11 +58,11 @@ class LockstepError(PearlError, AssertionError):
     Attributes
     ----------
     divergence
-        What differs, decoded: a :class:`pearl_marl.comparison.divergence.Divergence`. Its fields ``step``,
+        What differs, decoded: a :class:`pearl_marl.devices.divergence.Divergence`. Its fields ``step``,
         ``slot``, ``state_before`` and ``action`` are attributes of the error too, and those of its first
         difference: ``field``, ``device_value`` and ``reference_value``.
     replay
-        What does it again: a :class:`pearl_marl.comparison.replay.Replay`.
+        What does it again: a :class:`pearl_marl.devices.replay.Replay`.
     """
 
     def __init__(self, divergence: Any, replay: Any) -> None:

@@ -132,9 +132,9 @@ print(json.dumps([seen, "Pearl/Taxi-v0" in gymnasium.registry, "pearl/Taxi-v0" i
 
 
 def test_ids_are_known_without_the_specs() -> None:
-    script = "import json, sys; from pearl_marl import registry; known = registry.ids()\n"
+    script = "import json, sys; from pearl_marl import envs; known = envs.ids()\n"
     known = told(script + "print(json.dumps([known, 'pearl_marl.spec' in sys.modules]))")
-    from pearl_marl.registry import get_spec
+    from pearl_marl.envs import get_spec
 
     assert known[1] is False
     assert known[0] == {get_spec(name).name: get_spec(name).id for name in known[0]}

@@ -12,10 +12,10 @@ from gymnasium.spaces import Box, Space
 from pearl_marl.batch.actions import random_allowed, random_numbers
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.checks import checked_function, checked_number
-from pearl_marl.elements import ActionSpace
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
 from pearl_marl.interfaces.world import Mask
+from pearl_marl.spec.elements import ActionSpace
 
 from .base import Env, box, checked, differing, wrap
 from .transform import Rows, Transform

@@ -23,8 +23,8 @@ from pearl_marl.batch.rewards import reward_table
 from pearl_marl.batch.slot_checks import check_counters, check_observations, check_words
 from pearl_marl.batch.slot_memory import SlotMemory, size
 from pearl_marl.errors import ArgumentError, SavedStateError, shown, told
+from pearl_marl.golden.tracing.records import comparable
 from pearl_marl.spec import EnvSpec
-from pearl_marl.tracing.records import comparable
 
 Bytes = npt.NDArray[np.uint8]
 

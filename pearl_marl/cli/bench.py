@@ -30,9 +30,9 @@ from pearl_marl.benchmark.tables import (
 from pearl_marl.checks import MANY
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console
+from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation.machine import machine
-from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)

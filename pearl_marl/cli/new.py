@@ -15,9 +15,9 @@ from rich.markup import escape
 
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console, say
+from pearl_marl.envs import names
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware import elaboration
-from pearl_marl.registry import names
 from pearl_marl.spec import MAX_AGENTS, snake_case
 
 WORLD = "AGENTS = 2"

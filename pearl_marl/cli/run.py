@@ -13,7 +13,7 @@ import numpy.typing as npt
 import typer
 from rich.table import Table
 
-from pearl_marl.arrays import load_array
+from pearl_marl.base.arrays import load_array
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.batch.step import on_host
 from pearl_marl.benchmark.tables import duration, rate

@@ -11,12 +11,12 @@ from rich.table import Table
 
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console, error_console
+from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import PARTS, Fit, confirm, largest_fit
 from pearl_marl.hardware.synthesis import PLACEMENTS, Family, Usage, synthesise
 from pearl_marl.memory_map import default_map
-from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
 
 Sizes = Annotated[

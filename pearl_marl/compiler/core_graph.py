@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from pearl_marl.compiler.gating import held
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import Node
+from pearl_marl.golden.tracing.trace import trace
 from pearl_marl.spec import TERMINATED, EnvSpec, Field, word_bits
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import Node
-from pearl_marl.tracing.trace import trace
 
 
 class Output(NamedTuple):

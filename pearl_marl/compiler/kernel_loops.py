@@ -29,13 +29,13 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from pearl_marl import rng
 from pearl_marl.batch import slot_memory
 from pearl_marl.compiler import flag_runs
 from pearl_marl.compiler.kernel_ends import Ends
 from pearl_marl.compiler.llvm_functions import Code, Column, Compiled, Frame, Value
 from pearl_marl.compiler.llvm_words import ARITHMETIC
 from pearl_marl.compiler.straight_line import maskers, observers
+from pearl_marl.golden import rng
 from pearl_marl.spec import EnvSpec, Field
 
 BLOCK = 1024

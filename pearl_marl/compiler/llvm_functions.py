@@ -21,7 +21,7 @@ from numba import types
 from numba.core import cgutils as _cgutils
 from numba.extending import intrinsic
 
-from pearl_marl import object_code
+from pearl_marl.base import object_code
 from pearl_marl.compiler.llvm_loops import Writer
 from pearl_marl.compiler.llvm_words import (
     ARITHMETIC,
@@ -33,7 +33,7 @@ from pearl_marl.compiler.llvm_words import (
     Maker,
     arrays,
 )
-from pearl_marl.rebinding import rebound
+from pearl_marl.golden.rebinding import rebound
 
 cgutils: Any = _cgutils
 """Numba's, which has no types."""

@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import rng
+from pearl_marl.base.deferral import uninterrupted
 from pearl_marl.batch import rewards as reward_tables
 from pearl_marl.batch.actions import ActionRules, encode, refuse_masked, room_for_words
 from pearl_marl.batch.config import BatchConfig, checked_mask
@@ -36,11 +36,11 @@ from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep, Observed, on_host
-from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices import rollouts
 from pearl_marl.devices.recovery import CheckpointLog
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError, OrderError, renamed
+from pearl_marl.golden import rng
 from pearl_marl.policies.device_policy import DevicePolicy
 
 CACHE_BYTES = 1 << 18
@@ -87,7 +87,7 @@ class Device(ABC):
     config
         The batch that it was opened for.
     seed, tick
-        The position in the random numbers: see :mod:`pearl_marl.rng`.
+        The position in the random numbers: see :mod:`pearl_marl.golden.rng`.
     reward_table
         The reward of every word of the reward field.
     action_masks

@@ -20,7 +20,6 @@ import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import rng
 from pearl_marl.batch.actions import limits
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import Layout, ResultArrays
@@ -29,6 +28,7 @@ from pearl_marl.batch.step import Array, BatchStep, Observed, on_host
 from pearl_marl.compiler.cuda_kernels import THREADS, compile_cuda_kernels, simulated
 from pearl_marl.devices.base import Device
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError
+from pearl_marl.golden import rng
 
 RESIDENT_THREADS = 2048
 """Threads that a processor of a GPU holds at most. More are not started: each takes slot after slot."""

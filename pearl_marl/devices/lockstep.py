@@ -10,7 +10,9 @@ import numpy.typing as npt
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.step import Array, BatchStep, Observed
-from pearl_marl.comparison.divergence import (
+from pearl_marl.devices.base import Device, Phase, count_or_none
+from pearl_marl.devices.by_name import make_host_device
+from pearl_marl.devices.divergence import (
     Comparison,
     Divergence,
     result_words,
@@ -18,9 +20,7 @@ from pearl_marl.comparison.divergence import (
     state_of,
     state_words,
 )
-from pearl_marl.comparison.replay import Replay
-from pearl_marl.devices.base import Device, Phase, count_or_none
-from pearl_marl.devices.by_name import make_host_device
+from pearl_marl.devices.replay import Replay
 from pearl_marl.errors import ArgumentError, LockstepError, PearlError
 from pearl_marl.spec import EnvSpec
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import rng
+from pearl_marl.base.deferral import completed, uninterrupted
 from pearl_marl.batch.actions import are_words, room_for_words
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
@@ -23,12 +23,12 @@ from pearl_marl.batch.slot_memory import SlotMemory, aligned_bytes, counter_dtyp
 from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import compile_kernels
-from pearl_marl.deferral import completed, uninterrupted
 from pearl_marl.devices import native_rollout
 from pearl_marl.devices.base import Device, Phase, count_or_none
 from pearl_marl.devices.rollouts import Record, Sums
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ActionError
+from pearl_marl.golden import rng
 from pearl_marl.policies.device_policy import DevicePolicy, elements_of
 from pearl_marl.policies.integer_loops import Prepared, prepared
 from pearl_marl.policies.integer_network import IntegerNetwork

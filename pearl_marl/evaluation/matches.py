@@ -13,8 +13,8 @@ from pearl_marl.batch.step import BatchStep
 from pearl_marl.devices import Device
 from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation.run import Evaluation, interval
+from pearl_marl.golden.rng import checked_seed
 from pearl_marl.policies.loading import Policy
-from pearl_marl.rng import checked_seed
 from pearl_marl.spec import EnvSpec
 
 Array = npt.NDArray[Any]

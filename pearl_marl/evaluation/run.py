@@ -23,8 +23,8 @@ from pearl_marl.devices.base import count_or_none
 from pearl_marl.devices.transport import STAGES
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.evaluation.episodes import RunningEpisodes
+from pearl_marl.golden.rng import checked_seed
 from pearl_marl.policies.loading import Policy
-from pearl_marl.rng import checked_seed
 from pearl_marl.spec import EnvSpec, check_spec
 
 LIMIT = 1000

@@ -13,12 +13,12 @@ from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
-from pearl_marl.cache import cache_folder
+from pearl_marl.base.cache import cache_folder
+from pearl_marl.base.files import write_whole
 from pearl_marl.compiler.cores import core_name, generated_core
 from pearl_marl.compiler.loading import fingerprint
 from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.files import write_whole
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import Engine, MemoryMap, stream_bits
 from pearl_marl.spec import EnvSpec, snake_case, word_bits

@@ -15,7 +15,9 @@ from gymnasium.spaces import Box, Dict, Space
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.step import Array, on_host
+from pearl_marl.compiler.packing import observed_as
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
+from pearl_marl.envs import get_spec
 from pearl_marl.errors import ActionError, ArgumentError, OrderError, renamed
 from pearl_marl.interfaces.agent_dict import (
     AgentDict,
@@ -29,8 +31,6 @@ from pearl_marl.interfaces.agent_dict import (
 from pearl_marl.interfaces.batch import Batch, DeviceBatch
 from pearl_marl.interfaces.view import View
 from pearl_marl.interfaces.world import Mask
-from pearl_marl.packing import observed_as
-from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec, Role, snake_case
 
 

@@ -2,8 +2,9 @@
 
 An environment shows such a policy *elements*: the numbers of an observation as the integers that they are
 made of. Those of a ``Box`` of floats are its fixed-point words; others are the elements of the observation
-itself. Chance comes from the same counter-based random numbers as an environment's (:mod:`pearl_marl.rng`),
-from an index on that no environment uses, so that a rollout is what single steps would have been.
+itself. Chance comes from the same counter-based random numbers as an environment's
+(:mod:`pearl_marl.golden.rng`), from an index on that no environment uses, so that a rollout is what single
+steps would have been.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box
 
-from pearl_marl import rng
+from pearl_marl.golden import rng
 from pearl_marl.spec import EnvSpec
 
 Array = npt.NDArray[Any]

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from pearl_marl.envs import registered_spec
 from pearl_marl.errors import ArgumentError, shown, told
 from pearl_marl.policies.device_policy import Array
 from pearl_marl.policies.integer_network import (
@@ -22,7 +23,6 @@ from pearl_marl.policies.integer_network import (
     Rows,
     Scaling,
 )
-from pearl_marl.registry import registered_spec
 
 KIND = "integers"
 """What such a file says that its policy is."""

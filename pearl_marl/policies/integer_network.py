@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.elements import bounds
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.device_policy import Array, Choice, DevicePolicy
 from pearl_marl.spec import EnvSpec
+from pearl_marl.spec.elements import bounds
 
 ENTRIES = 1024
 """Numbers in a table: of activations for sums from -512 on, of weights for distances from 0 on."""

@@ -19,13 +19,13 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Discrete, MultiBinary, MultiDiscrete, Tuple
 
-from pearl_marl.arrays import load_array
+from pearl_marl.base.arrays import load_array
+from pearl_marl.base.files import check_uncompressed
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.elements import are_numbers, bounds
 from pearl_marl.errors import ArgumentError, told
-from pearl_marl.files import check_uncompressed
-from pearl_marl.rng import checked_seed
+from pearl_marl.golden.rng import checked_seed
 from pearl_marl.spec import EnvSpec, check_spec
+from pearl_marl.spec.elements import are_numbers, bounds
 
 Array = npt.NDArray[Any]
 Policy = Callable[..., Any]

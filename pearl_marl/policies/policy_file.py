@@ -16,8 +16,8 @@ from typing import Any
 from safetensors.torch import load, save
 from torch import Tensor, nn
 
+from pearl_marl.base.files import check_readable, replace_file
 from pearl_marl.errors import ArgumentError, shown
-from pearl_marl.files import check_readable, replace_file
 
 FORMAT = "pearl-policy-2"
 _OLDER = "pearl-policy-1"

@@ -14,12 +14,12 @@ from gymnasium.spaces import Box, Discrete
 from torch import Tensor, nn
 
 from pearl_marl.checks import is_number
-from pearl_marl.elements import are_numbers, bounds
+from pearl_marl.envs import registered_spec
 from pearl_marl.errors import ArgumentError, shown, told
 from pearl_marl.policies import policy_file
 from pearl_marl.policies.network import SHARING, Array, masked, most, networks
-from pearl_marl.registry import registered_spec
 from pearl_marl.spec import EnvSpec
+from pearl_marl.spec.elements import are_numbers, bounds
 
 KINDS = ("logits", "values", "mean")
 """How a network's outputs are meant: see :class:`NetworkPolicy`."""

@@ -15,11 +15,11 @@ from gymnasium import Space
 from gymnasium.spaces import Box, Dict, Discrete, Tuple
 
 from pearl_marl.batch.actions import random_numbers
-from pearl_marl.elements import ActionSpace, action_counts, are_numbers, bounds
 from pearl_marl.errors import ArgumentError, told
 from pearl_marl.porting.contents import kept, replaced, reseeded
 from pearl_marl.porting.oracle import Outcome
 from pearl_marl.spec import MAX_AGENTS
+from pearl_marl.spec.elements import ActionSpace, action_counts, are_numbers, bounds
 
 MOST_ELEMENTS = 4096
 """Elements of an observation: each is a field of a hardware word."""

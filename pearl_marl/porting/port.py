@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
-from pearl_marl.fields import Field
 from pearl_marl.golden import CountingDraws, Draws, as_python_runs_it
+from pearl_marl.golden.reals import Real
 from pearl_marl.layout import Layout, leaves
+from pearl_marl.layout.fields import Field
 from pearl_marl.porting.contents import elements
 from pearl_marl.porting.originals import Original
-from pearl_marl.reals import Real
 
 SEEDS, STEPS = 40, 100
 """Episodes of the original that a part is compared over, and their steps at most."""

@@ -11,9 +11,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pearl_marl.elements import are_numbers, bounds
 from pearl_marl.errors import ArgumentError, shown
 from pearl_marl.spec import EnvSpec
+from pearl_marl.spec.elements import are_numbers, bounds
 
 
 def whole(name: str, value: Any) -> int:

@@ -15,11 +15,11 @@ import numpy as np
 import torch
 
 from pearl_marl.batch.config import worlds_of
+from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError, PearlError, SavedStateError, shown, told
 from pearl_marl.evaluation.matches import Match
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies.loading import RANDOM, load_policy
-from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training import dqn, ppo, q_learning, self_play
 from pearl_marl.training.presets import PRESETS

@@ -22,10 +22,10 @@ from typing import Any
 import torch
 from torch.utils.tensorboard import SummaryWriter
 
+from pearl_marl.base.files import check_files, check_uncompressed, claimed, replace_file
 from pearl_marl.checks import is_number
 from pearl_marl.errors import ArgumentError, shown, told
 from pearl_marl.evaluation.machine import machine
-from pearl_marl.files import check_files, check_uncompressed, claimed, replace_file
 from pearl_marl.rendering import new_figure, save_figure
 
 CHECKPOINT, PREVIOUS = "checkpoint.pt", "checkpoint.previous.pt"

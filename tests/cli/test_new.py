@@ -19,12 +19,12 @@ import pytest
 
 import pearl_marl
 from pearl_marl import cli
-from pearl_marl.comparison.replay import checksum
 from pearl_marl.devices import BatchConfig, Lockstep
+from pearl_marl.devices.replay import checksum
+from pearl_marl.envs import _specs
 from pearl_marl.errors import ArgumentError, LockstepError
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
-from pearl_marl.registry import _specs
 from pearl_marl.testing import trajectory
 
 from ..devices.broken import Flips

@@ -16,17 +16,18 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import cache, get_spec
+from pearl_marl import get_spec
+from pearl_marl.base import cache
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Lockstep, Native, Rtl, make_device
 from pearl_marl.devices.simulator import model_build, pyverilator_model
 from pearl_marl.devices.simulator.simulation import Simulation
+from pearl_marl.envs import names
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.build import Build
 from pearl_marl.latency.cycles import draws_wait
 from pearl_marl.memory_map import MAGIC
-from pearl_marl.registry import names
 from pearl_marl.spec import EnvSpec, Field
 from pearl_marl.testing import Case, assert_same_step, assert_same_trajectory, trajectory
 

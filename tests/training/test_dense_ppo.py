@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from pearl_marl.registry import get_spec
+from pearl_marl.envs import get_spec
 from pearl_marl.training import dense_ppo
 from pearl_marl.training.dense_ppo import CompiledGradients, fits
 from pearl_marl.training.rollout import Rollout
