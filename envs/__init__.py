@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pearl_marl.base.source_lines import is_of_a_library, last_line_of_an_author, source_line
-from pearl_marl.errors import ArgumentError, shown
+from pearl_marl.errors import ArgumentError, brief
 
 if TYPE_CHECKING:
     from pearl_marl.spec import EnvSpec
@@ -75,7 +75,7 @@ def registered_spec(name: str) -> EnvSpec:
 
     Names that stand in a file are looked up here: others may have written them.
     """
-    return _spec(name, f"there is no environment {shown(name)}")
+    return _spec(name, f"there is no environment {brief(name)}")
 
 
 def _spec(name: str, missing: str) -> EnvSpec:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Any, TypeGuard, TypeVar
 
-from pearl_marl.errors import ArgumentError, shown
+from pearl_marl.errors import ArgumentError, brief
 
 T = TypeVar("T")
 
@@ -87,7 +87,7 @@ def checked_number(
 
 def _inside(possible: Range, name: str, value: Any, note: str) -> Any:
     if value not in possible:
-        raise ArgumentError(f"{name} is {shown(value)}; it must be {possible}{note}")
+        raise ArgumentError(f"{name} is {brief(value)}; it must be {possible}{note}")
     return value
 
 
@@ -98,18 +98,18 @@ def checked_choice(name: str, value: T, choices: Collection[T], note: str = "") 
             return value
     *others, last = map(repr, choices)
     listed = f"{', '.join(others)} and {last}" if others else last
-    raise ArgumentError(f"{name} is {shown(value)}; possible are {listed}{note}")
+    raise ArgumentError(f"{name} is {brief(value)}; possible are {listed}{note}")
 
 
 def checked_flag(name: str, value: Any) -> bool:
     """Return an argument that has to be ``True`` or ``False``."""
     if not isinstance(value, bool):
-        raise ArgumentError(f"{name} is {shown(value)}; it must be True or False")
+        raise ArgumentError(f"{name} is {brief(value)}; it must be True or False")
     return value
 
 
 def checked_function(name: str, value: T) -> T:
     """Return an argument that has to be a function; a wrong one would fail late, at the first call."""
     if not callable(value):
-        raise ArgumentError(f"{name} is {shown(value)}; it must be a function")
+        raise ArgumentError(f"{name} is {brief(value)}; it must be a function")
     return value

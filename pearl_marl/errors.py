@@ -10,7 +10,7 @@ import warnings
 from typing import Any
 
 
-def shown(value: Any) -> str:
+def brief(value: Any) -> str:
     """Return what stands for a value from a file in a sentence: one line, however long the value is."""
     try:
         text = repr(value)

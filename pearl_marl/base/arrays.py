@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.base.files import check_readable, check_uncompressed
-from pearl_marl.errors import ArgumentError, PearlError, shown, told
+from pearl_marl.errors import ArgumentError, PearlError, brief, told
 
 Array = npt.NDArray[Any]
 Check = Callable[[tuple[int, ...], np.dtype[Any]], None]
@@ -73,7 +73,7 @@ def unpacked_arrays(body: bytes, checks: dict[str, Check]) -> dict[str, Array]:
     """
     with _archive(io.BytesIO(body)) as (archive, members):
         if members.keys() != checks.keys():
-            raise _UnreadableError(f"it has the arrays {shown(list(members))}, not {list(checks)}")
+            raise _UnreadableError(f"it has the arrays {brief(list(members))}, not {list(checks)}")
         try:
             check_uncompressed(archive, len(body))
         except ValueError as error:
@@ -86,7 +86,7 @@ def _named(file: IO[bytes], check: Check, name: str) -> Array:
         if name in members:
             return _member(archive, members[name], check)
     listed = ", ".join(members) or "none"
-    listed = listed if listed.isprintable() and len(listed) < 200 else shown(list(members))
+    listed = listed if listed.isprintable() and len(listed) < 200 else brief(list(members))
     raise _UnreadableError(
         f"it has no array {name!r}; its arrays are {listed}" if name else "it is a .npz file"
     )
@@ -109,7 +109,7 @@ def _archive(file: IO[bytes]) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfi
 def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, check: Check) -> Array:
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise _UnreadableError(
-            f"{shown(member.filename)} in it is compressed in a way that NumPy does not use"
+            f"{brief(member.filename)} in it is compressed in a way that NumPy does not use"
         )
     with archive.open(member) as file:  # which compares the checksum where all of it has been read
         return _array(file, member.file_size, check)

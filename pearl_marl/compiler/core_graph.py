@@ -66,8 +66,8 @@ def core_graph(spec: EnvSpec) -> CoreGraph:
     offset = 0
     for agent in spec.views:
         observed = [node for view in spec.functions[2:] for node in trace(graph, view, after, *agent)]
-        outputs += _packed("obs_o", spec.seen, _narrowed(graph, observed, spec.seen), offset)
-        offset += word_bits(spec.seen)
+        outputs += _packed("obs_o", spec.agent_fields, _narrowed(graph, observed, spec.agent_fields), offset)
+        offset += word_bits(spec.agent_fields)
     outputs += _packed(
         "reward_o", spec.each_agent(replace(spec.reward, name="reward")), unseen[: spec.agents]
     )

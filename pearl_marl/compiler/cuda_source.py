@@ -272,7 +272,7 @@ class _Writer:
         """Return what makes the observations and masks of a slot."""
         lines: Lines = []
         for k in range(self.agents):
-            words = [f"observed_{f.name}" for f in self.spec.seen]
+            words = [f"observed_{f.name}" for f in self.spec.agent_fields]
             own, masks = words[: len(self.spec.observation)], words[len(self.spec.observation) :]
             lines.append(_call(observers(self.spec)[k], self.word, own))
             if masks:

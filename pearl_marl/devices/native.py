@@ -217,7 +217,7 @@ class Native(Device):
         while done < steps:
             some = min(some, steps - done)
             began = time.perf_counter()
-            self._run_rollout(kernel, network, actions, sums, kept.part(done, done + some), some)
+            self._run_rollout(kernel, network, actions, sums, kept.between(done, done + some), some)
             done += some
             seconds = time.perf_counter() - began
             # Between two parts Ctrl-C has its effect.

@@ -26,7 +26,7 @@ from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import size
 from pearl_marl.devices.divergence import Divergence
 from pearl_marl.envs import registered_spec
-from pearl_marl.errors import ArgumentError, PearlError, shown, told
+from pearl_marl.errors import ArgumentError, PearlError, brief, told
 from pearl_marl.golden.rng import checked_seed
 
 _FORMAT = "pearl verify replay"
@@ -88,7 +88,7 @@ class Replay:
             raise ArgumentError(f"{path} is no replay file of pearl verify")
         if value.get("version") != _VERSION:
             raise ArgumentError(
-                f"{path} has version {shown(value.get('version'))}; this program reads version {_VERSION}"
+                f"{path} has version {brief(value.get('version'))}; this program reads version {_VERSION}"
             )
         if value.pop("checksum", None) != right:
             raise ArgumentError(f"{path} is damaged: its checksum is wrong")
@@ -172,26 +172,26 @@ def _check_divergence(told: dict[str, Any], config: BatchConfig) -> None:
     for name, kind in _KINDS.items():
         # What is printed has no codes that a terminal would follow.
         if type(told[name]) is not kind or (kind is str and not told[name].isprintable()):
-            raise ArgumentError(f"its {name} is {shown(told[name])}; it must be of the type {kind.__name__}")
+            raise ArgumentError(f"its {name} is {brief(told[name])}; it must be of the type {kind.__name__}")
     if told["call"] not in ("step", "reset", "restore", "snapshot"):
         raise ArgumentError(f"its call is {told['call']!r}; there is no such call")
     if not 0 <= told["step"] < 1 << 64 or not 1 <= told["slots"] <= config.n_envs:
         raise ArgumentError(
-            f"its step is {shown(told['step'])}, and {shown(told['slots'])} of {config.n_envs} slots differ"
+            f"its step is {brief(told['step'])}, and {brief(told['slots'])} of {config.n_envs} slots differ"
         )
     if not told["differences"]:
         raise ArgumentError("it has no differences")
     for difference in told["differences"]:
         if difference.keys() != _DIFFERENCE or not all(map(_is_word, difference.values())):
-            raise ArgumentError(f"one of its differences is {shown(difference)}")
+            raise ArgumentError(f"one of its differences is {brief(difference)}")
     actions = told["action"] if isinstance(told["action"], list) else [told["action"]]
     if not all(action is None or (_is_word(action) and not isinstance(action, str)) for action in actions):
-        raise ArgumentError(f"its action is {shown(told['action'])}")
+        raise ArgumentError(f"its action is {brief(told['action'])}")
     if not 0 <= told["slot"] - config.first_slot < config.n_envs or told["environment"] != config.spec.id:
         raise ArgumentError(f"its slot {told['slot']} of {told['environment']} is none of its batch")
     state = {} if told["state_before"] is None else told["state_before"]
     if not isinstance(state, dict) or not all(type(w) is int and _is_word(n) for n, w in state.items()):
-        raise ArgumentError(f"its state_before is {shown(state)}; it must be words by name")
+        raise ArgumentError(f"its state_before is {brief(state)}; it must be words by name")
 
 
 def _is_word(value: Any) -> bool:

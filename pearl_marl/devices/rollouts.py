@@ -110,7 +110,7 @@ class Record(NamedTuple):
             np.empty((*rows, logits), np.int32),
         )
 
-    def part(self, start: int, stop: int) -> Record:
+    def between(self, start: int, stop: int) -> Record:
         """Return some of the steps, in the same memory."""
         return Record(*(array[start:stop] for array in self))
 

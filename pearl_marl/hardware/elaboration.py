@@ -67,7 +67,7 @@ def core_path(spec: EnvSpec, target: Target = TARGET) -> Path:
 
 def _generated_core(spec: EnvSpec, target: Target) -> Path:
     drawn = spec.reset_draws, spec.step_draws
-    words = spec.state, spec.action_fields, spec.seen, spec.reward, *drawn, spec.agents
+    words = spec.state, spec.action_fields, spec.agent_fields, spec.reward, *drawn, spec.agents
     functions = [fingerprint(function) for function in spec.functions]
     # A state's methods are called by no name that its functions see.
     functions += [fingerprint(kind) for kind in spec.layout.classes]
@@ -134,7 +134,7 @@ def _engine_constants(spec: EnvSpec, engine: Engine | None) -> dict[str, object]
     offsets = [word_bits(fields[:k]) for k in range(len(fields))]
     return {
         "engine": "NoEngine" if engine is None else f"{engine.kind.title()}Engine",
-        "agent_obs_bits": word_bits(spec.seen),
+        "agent_obs_bits": word_bits(spec.agent_fields),
         "elements": len(fields),
         "element_bits": max(field.bits + (not field.signed) for field in fields),
         "element_offsets": ", ".join(map(str, offsets)),

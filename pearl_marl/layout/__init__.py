@@ -280,15 +280,15 @@ def real_field(name: str, interval: Interval, fraction: int) -> Field:
 
 
 class _Several:
-    def __init__(self, part: _Tree, count: int) -> None:
-        self.part, self.count = part, count
+    def __init__(self, element: _Tree, count: int) -> None:
+        self.element, self.count = element, count
 
     def fields(self, name: str) -> Iterator[Field]:
         for k in range(self.count):
-            yield from self.part.fields(f"{name}_{k}")
+            yield from self.element.fields(f"{name}_{k}")
 
     def made(self, words: Iterator[str], code: _Code) -> str:
-        return f"[{', '.join(self.part.made(words, code) for _ in range(self.count))}]"
+        return f"[{', '.join(self.element.made(words, code) for _ in range(self.count))}]"
 
     def taken(self, value: str, code: _Code) -> list[str]:
         name = f"list_{len(code.lines)}"
@@ -296,13 +296,13 @@ class _Several:
             f"{name} = {value}",
             f"if {name}.__class__ is not list or len({name}) != {self.count}: return None",
         ]
-        return [word for k in range(self.count) for word in self.part.taken(f"{name}[{k}]", code)]
+        return [word for k in range(self.count) for word in self.element.taken(f"{name}[{k}]", code)]
 
     def flatten(self, value: Any, where: str, result: list[Any]) -> None:
         if not isinstance(value, (tuple, list)) or len(value) != self.count:
             raise ArgumentError(f"{where} is {_told(value)}; it must be a list of {self.count}")
         for k, one in enumerate(value):
-            self.part.flatten(one, f"{where}[{k}]", result)
+            self.element.flatten(one, f"{where}[{k}]", result)
 
 
 class _Group:
@@ -338,7 +338,7 @@ _Tree = _Leaf | _RealLeaf | _Several | _Group
 
 def _classes(tree: _Tree) -> Iterator[type]:
     if isinstance(tree, _Several):
-        yield from _classes(tree.part)
+        yield from _classes(tree.element)
     if isinstance(tree, _Group):
         yield tree.cls
         for part in tree.parts.values():

@@ -134,10 +134,10 @@ def view_of(
     words_of = leaves if view is None or view.fraction is None else view.flat
     count, built, alone = len(state.fields), state.built, (0,) * (world and agents == 1)
 
-    def seen(*words: Word) -> tuple[Word, ...]:
+    def observed(*words: Word) -> tuple[Word, ...]:
         return tuple(words_of(function(built(words[:count]), *words[count:], *alone)))
 
-    return _as(state, function, seen, "state", *["agent"] * world)
+    return _as(state, function, observed, "state", *["agent"] * world)
 
 
 def takes_agent(observe: GoldenFunction) -> bool:

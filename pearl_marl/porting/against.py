@@ -146,7 +146,7 @@ def _beside(spec: EnvSpec, original: Original, pose: Pose | None, rng: np.random
             pose(state)
 
     def look(game: Original) -> Outcome:
-        return Outcome(_seen(spec, game) if pose is None else None)
+        return Outcome(_observations(spec, game) if pose is None else None)
 
     return Games(spec, [original], begin, lambda game, *given: _stepped(spec, game, *given), look)
 
@@ -155,13 +155,13 @@ def _stepped(spec: EnvSpec, original: Original, actions: list[Any], draws: list[
     """Step the original by its own random numbers; of the time limit nothing is said."""
     kind = original.action_space.dtype
     given = [np.asarray(action, kind) if isinstance(action, list) else action for action in actions]
-    return original.step(given)._replace(observations=_seen(spec, original), truncated=None)
+    return original.step(given)._replace(observations=_observations(spec, original), truncated=None)
 
 
-def _seen(spec: EnvSpec, original: Original) -> list[Any]:
+def _observations(spec: EnvSpec, original: Original) -> list[Any]:
     """Return what each agent observes, element by element; of one that has left nothing."""
     nothing = (np.nan,) * spec.observation_size
-    return [nothing if seen is None else elements(seen) for seen in original.seen]
+    return [nothing if seen is None else elements(seen) for seen in original.observations]
 
 
 def _side_by_side(

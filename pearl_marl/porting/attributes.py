@@ -85,7 +85,7 @@ def observed(original: Original) -> Seen:
             of_path = values.setdefault(path, {})
             if len(of_path) < 4096:
                 of_path.setdefault(frozen(value), _copied(value))
-        rows.extend(elements(seen) for seen in original.seen if seen is not None)
+        rows.extend(elements(seen) for seen in original.observations if seen is not None)
 
     for seed in range(EPISODES):
         original.reset(seed)

@@ -54,7 +54,7 @@ class Original:
             raise ArgumentError(f"{name} has {self.agents} agents; a world has 1 to {MAX_AGENTS}")
         self.observation_space, self.action_space = self._space("observation"), self._space("action")
         self._ended: list[bool] = [False] * self.agents
-        self.seen: list[Any] = []
+        self.observations: list[Any] = []
         self.over = False
         """Whether the episode is over."""
         for what, why in (
@@ -86,8 +86,8 @@ class Original:
         self._ended = [False] * self.agents
         with _quiet():
             observed, _ = self.env.reset(seed=seed)
-        self.seen = [observed[agent] for agent in self.names] if self.names else [observed]
-        return self.seen
+        self.observations = [observed[agent] for agent in self.names] if self.names else [observed]
+        return self.observations
 
     def step(self, actions: Sequence[Any]) -> Outcome:
         """Take an action of each agent."""
@@ -99,8 +99,8 @@ class Original:
         with _quiet():
             if not self.names:
                 seen, reward, terminated, truncated, _ = self.env.step(actions[0])
-                self.seen = [seen]
-                return Outcome(self.seen, [float(reward) + 0.0], [bool(terminated)], bool(truncated))
+                self.observations = [seen]
+                return Outcome(self.observations, [float(reward) + 0.0], [bool(terminated)], bool(truncated))
             alive = list(self.env.agents)
             given = {
                 agent: action for agent, action in zip(self.names, actions, strict=True) if agent in alive
@@ -109,9 +109,9 @@ class Original:
         self._ended = [
             ended or bool(ends.get(agent)) for agent, ended in zip(self.names, self._ended, strict=True)
         ]
-        self.seen = [seen.get(agent) for agent in self.names]
+        self.observations = [seen.get(agent) for agent in self.names]
         return Outcome(
-            self.seen,
+            self.observations,
             [float(rewards.get(agent, 0)) + 0.0 for agent in self.names],
             list(self._ended),
             any(truncations.values()),

@@ -130,7 +130,7 @@ class Port:
         for where in self._reached():
             state = self._state()
             for agent in range(self.original.agents):
-                seen = self.original.seen[agent]
+                seen = self.original.observations[agent]
                 if seen is None:  # it has left
                     continue
                 result = observe(state, *[agent][: self.original.agents > 1])

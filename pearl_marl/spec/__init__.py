@@ -20,7 +20,7 @@ from gymnasium.spaces import Box, Discrete, Tuple
 
 from pearl_marl.base.source_lines import source_line
 from pearl_marl.checks import checked_choice, checked_integer
-from pearl_marl.errors import ArgumentError
+from pearl_marl.errors import ArgumentError, renamed
 from pearl_marl.golden import MOST_DRAWS, CountingDraws, GoldenFunction, as_python_runs_it, call_reference
 from pearl_marl.golden.tracing.checks import Argument, Result, check
 from pearl_marl.golden.tracing.operations import word_range
@@ -225,7 +225,7 @@ class EnvSpec:
                 f"the spec lists {len(self.observation)}"
             )
         self._check_names("state", self.state, ("elapsed", "ended"))
-        self._check_names("observation", self.seen)
+        self._check_names("observation", self.agent_fields)
         self._check_action()
         if not isinstance(self.name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9]*", self.name):
             raise ArgumentError(f"name {self.name!r}: it takes letters and digits, a letter first")
@@ -540,9 +540,11 @@ class EnvSpec:
         return tuple(Field(f"mask_{k}", 1) for k in range(int(self.action_space.n)))
 
     @cached_property
-    def seen(self) -> tuple[Field, ...]:
+    def agent_fields(self) -> tuple[Field, ...]:
         """The fields of the word that a device delivers of an agent: its observation, then its masks."""
         return (*self.observation, *self.mask_fields)
+
+    seen = renamed("seen", "agent_fields")
 
     @property
     def observation_shape(self) -> tuple[int, ...]:

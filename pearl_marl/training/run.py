@@ -16,7 +16,7 @@ import torch
 
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.envs import get_spec
-from pearl_marl.errors import ArgumentError, PearlError, SavedStateError, shown, told
+from pearl_marl.errors import ArgumentError, PearlError, SavedStateError, brief, told
 from pearl_marl.evaluation.matches import Match
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies.loading import RANDOM, load_policy
@@ -279,7 +279,7 @@ class TrainingRun:
             seconds, best = float(saved["seconds"]), float(saved["best"])
             trainer.load(saved["trainer"])
             if not isinstance(trainer.done, int) or not 0 <= trainer.done <= self.iterations:
-                raise ValueError(f"it has done {shown(trainer.done)} iterations of {self.iterations}")
+                raise ValueError(f"it has done {brief(trainer.done)} iterations of {self.iterations}")
             if not self.rows and (trainer.done == self.iterations or best > -math.inf):
                 raise ValueError("it has no metrics of evaluations that were done")
             if not math.isfinite(seconds) or math.isnan(best):

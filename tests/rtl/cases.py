@@ -70,7 +70,7 @@ def golden(
     observed = [word for view, agent in views for word in call_reference(view, after, *agent)]
     return {
         "state_o": join(after, spec.state, n),
-        "obs_o": join(observed, spec.seen * spec.agents, n),
+        "obs_o": join(observed, spec.agent_fields * spec.agents, n),
         "reward_o": join(rewards, (spec.reward,) * spec.agents, n),
         "terminated_o": join(ends, (TERMINATED,) * spec.agents, n),
     }

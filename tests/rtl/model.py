@@ -106,7 +106,10 @@ class Model:
             for word in call_reference(view, self.states, *agent)
         ]
         columns = {
-            "observations": (spec.seen * spec.agents, [np.broadcast_to(word, n) for word in observed]),
+            "observations": (
+                spec.agent_fields * spec.agents,
+                [np.broadcast_to(word, n) for word in observed],
+            ),
             "rewards": (spec.each_agent(spec.reward), [np.where(hold, 0, reward) for reward in rewards]),
             "ters": (self.ter, [self.ters]),
         }

@@ -346,9 +346,9 @@ class Runtime:
         if isinstance(of, Undefined):
             of.refuse()
         if isinstance(of, (tuple, list)) and any(isinstance(one, (float, Beyond)) for one in of):
-            return self._floats().chosen(Word(self.graph, self.place(of, index)), of)
+            return self._floats().chosen(Word(self.graph, self.index_within(of, index)), of)
         if isinstance(of, (tuple, list, range)):
-            return chosen_entry(self.graph, of, self.place(of, index))
+            return chosen_entry(self.graph, of, self.index_within(of, index))
         if isinstance(of, dict):
             return self._entry(of, index)
         raise ArgumentError(
@@ -377,7 +377,7 @@ class Runtime:
             low, high = (low, min(high, inside.high)) if end == node.low else (max(low, inside.low), high)
         return low, high
 
-    def place(self, of: Sequence[Any], index: Word) -> Node:
+    def index_within(self, of: Sequence[Any], index: Word) -> Node:
         """Return the node of an index, which is within a sequence."""
         node = node_of(self.graph, index)
         low, high = node.low, node.high
@@ -397,7 +397,7 @@ class Runtime:
             for part in before:
                 of = self.item(of, part)
         if isinstance(index, Word) and isinstance(of, list):
-            node, graph = self.place(of, index), self.graph
+            node, graph = self.index_within(of, index), self.graph
             for k in range(max(node.low, 0), min(node.high, len(of) - 1) + 1):
                 here = graph.equal(node, graph.constant(k))
                 if not here.is_constant(0):
