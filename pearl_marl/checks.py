@@ -71,6 +71,11 @@ def checked_integer(name: str, value: Any, least: int = 1, most: float = math.in
     return int(_inside(Range(least=least, most=most, whole=True), name, value, note))
 
 
+def checked_count_or_none(name: str, value: Any) -> int | None:
+    """Return an argument that has to be a positive integer or ``None``."""
+    return None if value is None else checked_integer(name, value, note=" or None")
+
+
 def checked_number(
     name: str,
     value: Any,

@@ -694,15 +694,6 @@ class Device(ABC):
         """Release everything; called once."""
 
 
-def count_or_none(name: str, value: Any) -> int | None:
-    """Return a setting that is a positive integer or ``None``; refuse what is neither."""
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise ArgumentError(f"{name} is {value!r}; it must be a positive integer or None")
-    return int(value)
-
-
 def _unopened(setting: Any) -> Any:
     """Return a setting of a device as it was when that was made: other devices in it without a batch."""
     if isinstance(setting, list):

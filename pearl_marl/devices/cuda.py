@@ -25,9 +25,10 @@ from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import Layout, ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory, size
 from pearl_marl.batch.step import Array, BatchStep, Observed, on_host
+from pearl_marl.checks import checked_choice
 from pearl_marl.compiler.cuda_kernels import THREADS, compile_cuda_kernels, simulated
 from pearl_marl.devices.base import Device
-from pearl_marl.errors import ActionError, ArgumentError, DeviceError
+from pearl_marl.errors import ActionError, DeviceError
 from pearl_marl.golden import rng
 
 RESIDENT_THREADS = 2048
@@ -60,9 +61,7 @@ class Cuda(Device):
     name = "cuda"
 
     def __init__(self, results: str = "numpy") -> None:
-        if results not in ("numpy", "torch"):
-            raise ArgumentError(f"results is {results!r}; possible are 'numpy' and 'torch'")
-        self.results = results
+        self.results = checked_choice("results", results, ("numpy", "torch"))
         self.tensors = results == "torch"
 
     def encoded(self, actions: Any) -> Any:

@@ -10,7 +10,8 @@ import numpy.typing as npt
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.step import Array, BatchStep, Observed
-from pearl_marl.devices.base import Device, Phase, count_or_none
+from pearl_marl.checks import checked_count_or_none
+from pearl_marl.devices.base import Device, Phase
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.devices.divergence import (
     Comparison,
@@ -58,7 +59,7 @@ class Lockstep(Device):
     def __init__(
         self, device: str | Device, reference: str | Device = "native", state_every: int | None = None
     ) -> None:
-        self._asked = count_or_none("state_every", state_every)
+        self._asked = checked_count_or_none("state_every", state_every)
         self.device, self.reference = make_host_device(device), make_host_device(reference)
         if self.device is self.reference:
             raise ArgumentError("a device is not its own reference: lockstep takes two")

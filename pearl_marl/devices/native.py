@@ -21,10 +21,11 @@ from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.slot_memory import SlotMemory, aligned_bytes, counter_dtype
 from pearl_marl.batch.step import Array, BatchStep, Observed
+from pearl_marl.checks import checked_count_or_none
 from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices import native_rollout
-from pearl_marl.devices.base import Device, Phase, count_or_none
+from pearl_marl.devices.base import Device, Phase
 from pearl_marl.devices.rollouts import Record, Sums
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ActionError
@@ -64,7 +65,7 @@ class Native(Device):
     name = "native"
 
     def __init__(self, threads: int | None = None) -> None:
-        self._threads = count_or_none("threads", threads) or 1
+        self._threads = checked_count_or_none("threads", threads) or 1
         self._tuning = threads is None and _cores() > 1
         self._recent: list[float] = []
         self._alone = 0.0

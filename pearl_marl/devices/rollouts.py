@@ -16,7 +16,7 @@ from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.step import Array, BatchStep, Observed
-from pearl_marl.checks import checked_flag, checked_integer
+from pearl_marl.checks import checked_count_or_none, checked_flag, checked_integer
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.device_policy import DevicePolicy, elements_of, policy_draws
@@ -151,8 +151,7 @@ def check(config: BatchConfig, policy: object, steps: Any, record: object, episo
                 f"the policy is for {policy.spec.name} with the {what} {theirs}; here it is {own}"
             )
     checked_integer("steps", steps)
-    if episodes is not None:
-        checked_integer("episodes", episodes, note=" or None")
+    checked_count_or_none("episodes", episodes)
     checked_flag("record", record)
     if record:
         seen = elements_of(spec)

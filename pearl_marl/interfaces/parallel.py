@@ -15,6 +15,7 @@ from gymnasium.spaces import Box, Dict, Space
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.step import Array, on_host
+from pearl_marl.checks import checked_flag
 from pearl_marl.compiler.packing import observed_as
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
 from pearl_marl.envs import get_spec
@@ -488,8 +489,7 @@ def parallel_env(
         The device is not available.
     """
     spec = get_spec(env_id).with_options(inspect.signature(parallel_env).parameters, **options)
-    if not isinstance(autoreset, bool):
-        raise ArgumentError(f"autoreset is {autoreset!r}; it must be True or False")
+    checked_flag("autoreset", autoreset)
     config = BatchConfig(
         spec=observed_as(spec, observations),
         n_envs=worlds_of(spec, n_agents),

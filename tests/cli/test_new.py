@@ -96,7 +96,7 @@ def test_files_of_a_world(pearl: Any, tmp_path: Path) -> None:
 @pytest.mark.parametrize("agents", [0, 64])
 def test_so_many_agents_share_no_world(pearl: Any, agents: int) -> None:
     status, _, err = pearl("new", "TwoRooms", "--agents", agents)
-    assert (status, err) == (2, f"pearl: --agents is {agents}; a world has 1 to 63\n")
+    assert (status, err) == (2, f"pearl: --agents is {agents}; it must be an integer from 1 to 63\n")
 
 
 @pytest.mark.parametrize(

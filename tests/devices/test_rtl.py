@@ -77,12 +77,12 @@ def test_device_by_name() -> None:
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"pe_num": 0}, "pe_num is 0; possible are 1 to n_envs = 7"),
+        ({"pe_num": 0}, "pe_num is 0; it must be an integer of at least 1 or None"),
         ({"pe_num": 8}, "pe_num is 8; possible are 1 to n_envs = 7"),
         ({"pe_num": 2.0}, "pe_num is 2.0; it must be an integer"),
         ({"data_wl": 48}, "data_wl is 48; possible are 32, 64"),
         ({"data_wl": True}, "data_wl is True; it must be an integer"),
-        ({"path": "front"}, "path is 'front'; possible are 'backdoor', 'axi'"),
+        ({"path": "front"}, "path is 'front'; possible are 'backdoor' and 'axi'"),
         ({"trace": "wäve.vcd"}, "it must be a file name in ASCII"),
         ({"pipelined": 0}, "pipelined is 0; it must be True or False"),
     ],

@@ -96,7 +96,7 @@ def test_large_memories_have_to_be_block_ram(memory: Memory, misplaced: bool) ->
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--fit", "vc708"], "there is no part 'vc708'; possible are vc707"),
+        (["--fit", "vc708"], "--fit is 'vc708'; possible are 'vc707'"),
         (["--fit", "vc707", "--part", "ecp5"], "--fit is for 7-series parts"),
         (["--confirm"], "name a part with --fit"),
         (["--n-envs", "many"], "--n-envs many is no list of numbers"),

@@ -379,7 +379,7 @@ def test_pearl_plan(pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     [
         (["--link", "gen9"], "there is no link 'gen9'; possible are gen2x4, gen2x8, gen3x16"),
         (["--link", "30,0,1"], "--link is '30,0,1'; the microseconds a call"),
-        (["--part", "vc808"], "there is no part 'vc808'; possible are vc707, kc705, arty-a7-100t, any"),
+        (["--part", "vc808"], "--part is 'vc808'; possible are 'vc707', 'kc705', 'arty-a7-100t' and 'any'"),
         (
             ["--clock", "0"],
             "the clock is 0 MHz; for xc7 it can be 1 to 317",
