@@ -28,7 +28,7 @@ def is_number(value: object, infinite: bool = False) -> TypeGuard[float]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Range:
+class NumberRange:
     """A range of finite numbers, or of integers if ``whole``; ``value in range`` tells and ``str()`` says it.
 
     ``least`` and ``most`` belong to it themselves, ``above`` and ``below`` do not.
@@ -68,7 +68,7 @@ def checked_integer(name: str, value: Any, least: int = 1, most: float = math.in
 
     ``note`` goes on after what is possible, as ``" or None"`` or ``"; 0 is no limit"`` do.
     """
-    return int(_inside(Range(least=least, most=most, whole=True), name, value, note))
+    return int(_inside(NumberRange(least=least, most=most, whole=True), name, value, note))
 
 
 def checked_count_or_none(name: str, value: Any) -> int | None:
@@ -87,10 +87,10 @@ def checked_number(
     note: str = "",
 ) -> float:
     """Return an argument that has to be a finite number of a range as a ``float``."""
-    return float(_inside(Range(least=least, most=most, above=above, below=below), name, value, note))
+    return float(_inside(NumberRange(least=least, most=most, above=above, below=below), name, value, note))
 
 
-def _inside(possible: Range, name: str, value: Any, note: str) -> Any:
+def _inside(possible: NumberRange, name: str, value: Any, note: str) -> Any:
     if value not in possible:
         raise ArgumentError(f"{name} is {brief(value)}; it must be {possible}{note}")
     return value

@@ -19,7 +19,7 @@ def brief(value: Any) -> str:
     return text if len(text) <= 200 else f"{text[:200]}..."
 
 
-def told(why: object) -> str:
+def one_line(why: object) -> str:
     """Return what another error says, as a part of a sentence: on one line, and not too long."""
     text = " ".join(str(why).split())
     return text if len(text) <= 600 else f"{text[:400]}...{text[-150:]}"

@@ -18,7 +18,7 @@ RETIRED = {
 }
 """Private words of earlier versions; ``docs/concepts.md`` has those that are used."""
 
-RETIRED_AS_DEFINITIONS = {"seen", "shown", "given", "part", "place"}
+RETIRED_AS_DEFINITIONS = {"seen", "shown", "given", "part", "place", "told"}
 """Words that say too little as the name of a function, a class or an attribute; variables may have them."""
 
 

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.base.files import check_readable, check_uncompressed
-from pearl_marl.errors import ArgumentError, PearlError, brief, told
+from pearl_marl.errors import ArgumentError, PearlError, brief, one_line
 
 Array = npt.NDArray[Any]
 Check = Callable[[tuple[int, ...], np.dtype[Any]], None]
@@ -63,7 +63,7 @@ def load_array(path: Path, what: str, check: Check, name: str = "", rows: int | 
         raise
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise ArgumentError(f"{path} is no readable {what}: {told(why)}") from None
+        raise ArgumentError(f"{path} is no readable {what}: {one_line(why)}") from None
 
 
 def unpacked_arrays(body: bytes, checks: dict[str, Check]) -> dict[str, Array]:

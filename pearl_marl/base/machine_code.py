@@ -134,13 +134,13 @@ def kept_code(dispatcher: Any, name: str) -> Any:
             try:
                 return compile_(signature)
             except NumbaError as error:
-                raise ArgumentError(_told(error)) from None
+                raise ArgumentError(_why_not_compiled(error)) from None
 
     dispatcher.compile = compile_alone
     return dispatcher
 
 
-def _told(error: NumbaError) -> str:
+def _why_not_compiled(error: NumbaError) -> str:
     """Return what an author is told: the last line of a file of his own that is named."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", str(error))
     places = re.findall(r'File "([^"]+)", line (\d+)', text)

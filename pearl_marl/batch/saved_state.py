@@ -22,7 +22,7 @@ from pearl_marl.batch.config import GOLDEN, BatchConfig
 from pearl_marl.batch.rewards import reward_table
 from pearl_marl.batch.slot_checks import check_counters, check_observations, check_words
 from pearl_marl.batch.slot_memory import SlotMemory, size
-from pearl_marl.errors import ArgumentError, SavedStateError, brief, told
+from pearl_marl.errors import ArgumentError, SavedStateError, brief, one_line
 from pearl_marl.golden.tracing.records import comparable
 from pearl_marl.spec import EnvSpec
 
@@ -214,7 +214,7 @@ def check_identity(saved: dict[str, Any], mine: dict[str, Any], exactly: bool = 
         # As text: True is 1 in Python.
         if name not in saved or json.dumps(saved[name]) != json.dumps(mine.get(name)):
             raise SavedStateError(
-                f"the saved state has {told(name)} = {brief(saved.get(name))}; "
+                f"the saved state has {one_line(name)} = {brief(saved.get(name))}; "
                 f"this environment has {mine.get(name)!r}"
             )
 

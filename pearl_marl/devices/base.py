@@ -31,7 +31,7 @@ from pearl_marl.base.deferral import uninterrupted
 from pearl_marl.batch import rewards as reward_tables
 from pearl_marl.batch.actions import ActionRules, encode, refuse_masked, room_for_words
 from pearl_marl.batch.config import BatchConfig, checked_mask
-from pearl_marl.batch.results import Layout, Recycler
+from pearl_marl.batch.results import Recycler, ResultLayout
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
@@ -163,7 +163,7 @@ class Device(ABC):
         self.in_episode = np.ones(config.n_agents, np.bool_)
         # Of one agent without masks nothing has to be remembered from one step to the next.
         self._remembers = config.spec.agents > 1 or bool(config.spec.mask_fields)
-        large = config.copy and self._remembers and Layout(config).size > CACHE_BYTES
+        large = config.copy and self._remembers and ResultLayout(config).size > CACHE_BYTES
         self._copies = Recycler() if large else None
         self._thread = Threads(1, f"pearl-{self.name}")
         # Every step asks for these two, and finds them faster here than on the class.

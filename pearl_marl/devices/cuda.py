@@ -22,7 +22,7 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.actions import limits
 from pearl_marl.batch.config import BatchConfig
-from pearl_marl.batch.results import Layout, ResultArrays
+from pearl_marl.batch.results import ResultArrays, ResultLayout
 from pearl_marl.batch.slot_memory import SlotMemory, size
 from pearl_marl.batch.step import Array, BatchStep, Observed, on_host
 from pearl_marl.checks import checked_choice
@@ -121,7 +121,7 @@ class Cuda(Device):
                 # All but the final observations, where those have bytes of their own.
                 self._first_to_host = self._block[:split]
             else:
-                self._result_layout = Layout(config)
+                self._result_layout = ResultLayout(config)
                 self._dtypes = [getattr(self._torch, str(dtype)) for dtype in self._result_layout.dtypes]
                 self._block = None if config.copy else self._new_block()
                 self._tensors = None if config.copy else self._in_tensors(self._block)
@@ -318,7 +318,7 @@ def memory_needed(config: BatchConfig, results: str = "numpy") -> int:
     # Actions, and a reset's mask.
     spec = config.spec
     others = config.n_agents * len(spec.action_fields) * spec.action_dtype.itemsize + config.n_envs
-    return slots + stored + blocks * Layout(config).size + others
+    return slots + stored + blocks * ResultLayout(config).size + others
 
 
 def _check_memory(gpu: Any, config: BatchConfig, results: str) -> None:

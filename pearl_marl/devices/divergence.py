@@ -150,7 +150,7 @@ def state_of(spec: EnvSpec, n: int, saved: SavedState, i: int) -> dict[str, int]
     return {name: int(column[i]) for name, column in SlotMemory(spec, n, saved.memory).columns.items()}
 
 
-class Comparison:
+class WordComparison:
     """Compares words, and keeps those that differ; ``words`` counts how many were compared."""
 
     def __init__(self) -> None:

@@ -14,8 +14,8 @@ from pearl_marl.checks import checked_count_or_none
 from pearl_marl.devices.base import Device, Phase
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.devices.divergence import (
-    Comparison,
     Divergence,
+    WordComparison,
     result_words,
     seen_words,
     state_of,
@@ -117,7 +117,7 @@ class Lockstep(Device):
         ours, theirs = self._both(
             lambda device: Observed(begin(device), device.action_masks, device.in_episode)
         )
-        found = Comparison()
+        found = WordComparison()
         found.add(seen_words(self.config.spec, ours, theirs))
         self._add_states(found)
         self.words_compared += found.words
@@ -131,7 +131,7 @@ class Lockstep(Device):
     def _step(self, actions: Array) -> BatchStep:
         ours, theirs = self._both(lambda device: device.step_words(actions))
         self._taken.append(actions.copy())
-        found = Comparison()
+        found = WordComparison()
         found.add(result_words(self.config.spec, ours, theirs))
         if found or len(self._taken) >= self._every:
             self._add_states(found)
@@ -166,7 +166,7 @@ class Lockstep(Device):
             self._agreed()
 
     def _compare_states(self) -> None:
-        found = Comparison()
+        found = WordComparison()
         self._add_states(found)
         self.words_compared += found.words
         if found:
@@ -177,7 +177,7 @@ class Lockstep(Device):
         self._since = self.reference.snapshot()
         self._taken = []
 
-    def _add_states(self, found: Comparison) -> None:
+    def _add_states(self, found: WordComparison) -> None:
         saved = self.device.snapshot(), self.reference.snapshot()
         found.add(state_words(self.config.spec, self.config.n_envs, *saved))
 
@@ -191,7 +191,7 @@ class Lockstep(Device):
                 self.device.restore(self.reference.snapshot())
             raise
 
-    def _diverged(self, found: Comparison, undo: int) -> NoReturn:
+    def _diverged(self, found: WordComparison, undo: int) -> NoReturn:
         """Find the first step that differs, take back the last ``undo`` steps, and raise."""
         since, taken = self._since, self._taken
         assert since is not None
@@ -212,7 +212,7 @@ class Lockstep(Device):
             raise self._error("snapshot", found, since, tick=since.tick)
         raise self._error("step", found, before, tick=before.tick, actions=taken[at])
 
-    def _search(self, since: SavedState, taken: list[Array]) -> tuple[int, Comparison] | None:
+    def _search(self, since: SavedState, taken: list[Array]) -> tuple[int, WordComparison] | None:
         """Take steps again, comparing the states after each; return the first that differs, if any does.
 
         A device that does not make the same mistake twice may differ in none.
@@ -222,7 +222,7 @@ class Lockstep(Device):
         for i, actions in enumerate(taken):
             for device in (self.device, self.reference):
                 device.step_words(actions)
-            found = Comparison()
+            found = WordComparison()
             self._add_states(found)
             if found:
                 return i, found
@@ -233,7 +233,7 @@ class Lockstep(Device):
         self._agreed()
 
     def _error(
-        self, call: str, found: Comparison, before: SavedState | None, tick: int, **arguments: Any
+        self, call: str, found: WordComparison, before: SavedState | None, tick: int, **arguments: Any
     ) -> LockstepError:
         spec, n = self.config.spec, self.config.n_envs
         i, count, differences = found.first()
@@ -248,14 +248,14 @@ class Lockstep(Device):
             slots=count,
             differences=differences,
             state_before=None if before is None else state_of(spec, n, before, i),
-            action=None if actions is None else _told(spec, actions, i),
+            action=None if actions is None else _action_of(spec, actions, i),
         )
         return LockstepError(
             divergence, Replay(config=self.config, divergence=divergence, before=before, **arguments)
         )
 
 
-def _told(spec: EnvSpec, actions: Array, slot: int) -> float | list[float]:
+def _action_of(spec: EnvSpec, actions: Array, slot: int) -> float | list[float]:
     """Return what a slot was told to do: a list where it has several agents, or actions several fields."""
     words = actions[slot * spec.agents : (slot + 1) * spec.agents].ravel()
     told = [field.value(word) for field, word in zip(spec.agents * spec.action_fields, words, strict=True)]

@@ -26,7 +26,7 @@ from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import size
 from pearl_marl.devices.divergence import Divergence
 from pearl_marl.envs import registered_spec
-from pearl_marl.errors import ArgumentError, PearlError, brief, told
+from pearl_marl.errors import ArgumentError, PearlError, brief, one_line
 from pearl_marl.golden.rng import checked_seed
 
 _FORMAT = "pearl verify replay"
@@ -95,7 +95,7 @@ class Replay:
         try:
             return cls._from_json(value)
         except PearlError as error:
-            raise ArgumentError(f"{path}: {told(error)}") from None
+            raise ArgumentError(f"{path}: {one_line(error)}") from None
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, zlib.error) as error:
             raise ArgumentError(f"{path} is damaged: {type(error).__name__}: {_why(error)}") from None
 
@@ -206,7 +206,7 @@ def checksum(value: dict[str, Any]) -> str:
 
 
 def _why(error: Exception) -> str:
-    return told(error.strerror if isinstance(error, OSError) and error.strerror else error)
+    return one_line(error.strerror if isinstance(error, OSError) and error.strerror else error)
 
 
 def _packed(data: bytes) -> str:

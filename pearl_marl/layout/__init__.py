@@ -185,7 +185,7 @@ class Layout:
         if words is not None and {*map(type, words)} <= _INTEGERS:
             return words
         if not isinstance(value, self.cls):
-            raise ArgumentError(f"a {self.cls.__name__} is due, and {_told(value)} is returned")
+            raise ArgumentError(f"a {self.cls.__name__} is due, and {_described(value)} is returned")
         result: list[Any] = []
         self._tree.flatten(value, self.cls.__name__, result)
         return result
@@ -243,7 +243,7 @@ class _Leaf:
 
     def flatten(self, value: Any, where: str, result: list[Any]) -> None:
         if isinstance(value, (tuple, list, str)) or value is None:
-            raise ArgumentError(f"{where} is {_told(value)}; it must be one word")
+            raise ArgumentError(f"{where} is {_described(value)}; it must be one word")
         if self.scalar.bits:
             result.append(value)
 
@@ -266,7 +266,7 @@ class _RealLeaf:
 
     def flatten(self, value: Any, where: str, result: list[Any]) -> None:
         if isinstance(value, (tuple, list, str)) or value is None:
-            raise ArgumentError(f"{where} is {_told(value)}; it must be one number")
+            raise ArgumentError(f"{where} is {_described(value)}; it must be one number")
         result.append(stored(value, *self.ends, self.fraction))
 
 
@@ -300,7 +300,7 @@ class _Several:
 
     def flatten(self, value: Any, where: str, result: list[Any]) -> None:
         if not isinstance(value, (tuple, list)) or len(value) != self.count:
-            raise ArgumentError(f"{where} is {_told(value)}; it must be a list of {self.count}")
+            raise ArgumentError(f"{where} is {_described(value)}; it must be a list of {self.count}")
         for k, one in enumerate(value):
             self.element.flatten(one, f"{where}[{k}]", result)
 
@@ -328,7 +328,7 @@ class _Group:
 
     def flatten(self, value: Any, where: str, result: list[Any]) -> None:
         if not isinstance(value, self.cls):
-            raise ArgumentError(f"{where} is {_told(value)}; it must be a {self.cls.__name__}")
+            raise ArgumentError(f"{where} is {_described(value)}; it must be a {self.cls.__name__}")
         for name, part in self.parts.items():
             part.flatten(getattr(value, name), f"{where}.{name}", result)
 
@@ -391,7 +391,7 @@ def leaves(value: Any) -> list[Any]:
     return [value]
 
 
-def _told(value: Any) -> str:
+def _described(value: Any) -> str:
     if isinstance(value, (tuple, list)):
         return f"a {'list' if isinstance(value, list) else type(value).__name__} of {len(value)}"
     if value is None:

@@ -26,7 +26,7 @@ FIRST_DRAW = 1 << 31
 """The index of a policy's first draw. Those of an environment's golden functions come long before it."""
 
 
-class Choice(NamedTuple):
+class ActionChoice(NamedTuple):
     """What a policy chose, a row an agent."""
 
     words: Array
@@ -49,7 +49,7 @@ class DevicePolicy(ABC):
     """How many logits an action is chosen by."""
 
     @abstractmethod
-    def choose(self, elements: Array, agents: Array, masks: Array | None, draws: Array) -> Choice:
+    def choose(self, elements: Array, agents: Array, masks: Array | None, draws: Array) -> ActionChoice:
         """Return an action for each agent.
 
         Parameters

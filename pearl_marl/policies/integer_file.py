@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pearl_marl.envs import registered_spec
-from pearl_marl.errors import ArgumentError, brief, told
+from pearl_marl.errors import ArgumentError, brief, one_line
 from pearl_marl.policies.device_policy import Array
 from pearl_marl.policies.integer_network import (
     Dense,
@@ -99,7 +99,7 @@ def load_policy(path: str | Path) -> IntegerNetwork:
     try:
         return _network(about, {name: tensor.numpy() for name, tensor in tensors.items()})
     except ArgumentError as error:
-        raise ArgumentError(f"{file} is damaged, or of another version: {told(error)}") from None
+        raise ArgumentError(f"{file} is damaged, or of another version: {one_line(error)}") from None
 
 
 def _network(about: Any, tensors: dict[str, Array]) -> IntegerNetwork:

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from pearl_marl.checks import is_number
 from pearl_marl.envs import registered_spec
-from pearl_marl.errors import ArgumentError, brief, told
+from pearl_marl.errors import ArgumentError, brief, one_line
 from pearl_marl.policies import policy_file
 from pearl_marl.policies.network import SHARING, Array, masked, most, networks
 from pearl_marl.spec import EnvSpec
@@ -227,7 +227,7 @@ def load(path: Path) -> NetworkPolicy | Table:
             policy = _described(about, tensors)
         policy_file.check_weights(policy, tensors, policy.spec.name)
     except ArgumentError as error:
-        raise ArgumentError(f"{file} is damaged, or of another version: {told(error)}") from None
+        raise ArgumentError(f"{file} is damaged, or of another version: {one_line(error)}") from None
     policy.load_state_dict(tensors, assign=True)
     return policy
 

@@ -38,7 +38,7 @@ class Errors(NamedTuple):
     mean: float
 
 
-class Comparison(NamedTuple):
+class ComparisonWithOriginal(NamedTuple):
     """What there is to say of the two."""
 
     how: str
@@ -59,7 +59,7 @@ class Comparison(NamedTuple):
         return self.difference is None
 
 
-def compare(spec: EnvSpec, original: Original, steps: int, seed: int) -> Comparison:
+def compare(spec: EnvSpec, original: Original, steps: int, seed: int) -> ComparisonWithOriginal:
     """Compare an environment with an original.
 
     Raises
@@ -105,7 +105,7 @@ def compare(spec: EnvSpec, original: Original, steps: int, seed: int) -> Compari
 
     mine, length = _returns(original, start, our_step, _limit(spec))
     theirs, other_length = _returns(original, reset, their_step, _limit(spec))
-    return Comparison(how, taken, difference, errors, (mine, theirs), (length, other_length))
+    return ComparisonWithOriginal(how, taken, difference, errors, (mine, theirs), (length, other_length))
 
 
 def _poser(spec: EnvSpec, original: Original) -> tuple[Pose | None, str]:

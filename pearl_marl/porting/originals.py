@@ -15,7 +15,7 @@ from gymnasium import Space
 from gymnasium.spaces import Box, Dict, Discrete, Tuple
 
 from pearl_marl.batch.actions import random_numbers
-from pearl_marl.errors import ArgumentError, told
+from pearl_marl.errors import ArgumentError, one_line
 from pearl_marl.porting.contents import kept, replaced, reseeded
 from pearl_marl.porting.oracle import Outcome
 from pearl_marl.spec import MAX_AGENTS
@@ -198,7 +198,7 @@ def _made(name: str, options: Mapping[str, Any]) -> Any:
     except ArgumentError:
         raise
     except Exception as error:
-        raise ArgumentError(f"{name} cannot be made: {type(error).__name__}: {told(error)}") from error
+        raise ArgumentError(f"{name} cannot be made: {type(error).__name__}: {one_line(error)}") from error
     if isinstance(env, gymnasium.Env):
         return env
     if hasattr(env, "possible_agents") and not hasattr(env, "agent_selection"):
@@ -224,7 +224,7 @@ def _found(name: str) -> Any:
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
-            raise ArgumentError(f"module {module_name!r} cannot be imported: {told(error)}") from error
+            raise ArgumentError(f"module {module_name!r} cannot be imported: {one_line(error)}") from error
         raise ArgumentError(
             f"there is no module {error.name!r} for {name!r}; install its package, or add its folder to "
             "PYTHONPATH"
@@ -276,9 +276,10 @@ def _registered(name: str, options: Mapping[str, Any]) -> gymnasium.Env[Any, Any
         gymnasium.error.NamespaceNotFound,
     ) as error:
         raise ArgumentError(
-            f"Gymnasium has no environment {name!r}: {told(error)} (a class is named 'package.module:Class')"
+            f"Gymnasium has no environment {name!r}: {one_line(error)} "
+            "(a class is named 'package.module:Class')"
         ) from None
     except gymnasium.error.Error as error:
-        raise ArgumentError(f"{name} cannot be made: {told(error)}") from None
+        raise ArgumentError(f"{name} cannot be made: {one_line(error)}") from None
     except Exception as error:
-        raise ArgumentError(f"{name} cannot be made: {type(error).__name__}: {told(error)}") from error
+        raise ArgumentError(f"{name} cannot be made: {type(error).__name__}: {one_line(error)}") from error

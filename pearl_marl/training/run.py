@@ -16,7 +16,7 @@ import torch
 
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.envs import get_spec
-from pearl_marl.errors import ArgumentError, PearlError, SavedStateError, brief, told
+from pearl_marl.errors import ArgumentError, PearlError, SavedStateError, brief, one_line
 from pearl_marl.evaluation.matches import Match
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies.loading import RANDOM, load_policy
@@ -288,7 +288,7 @@ class TrainingRun:
             refused = isinstance(error, (ArgumentError, SavedStateError))
             if isinstance(error, _NOT_ITS_FAULT) and not refused:
                 raise
-            why = told(error) or type(error).__name__
+            why = one_line(error) or type(error).__name__
             raise self.folder.damaged(f"and cannot be gone on from ({why})") from error
         self.best = best
         self.folder.write_metrics()  # a kill may have left those of an earlier moment

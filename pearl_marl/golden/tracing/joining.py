@@ -232,7 +232,7 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
         raise ArgumentError(
             f"a word chooses between two objects of {name}; make {name} a NamedTuple or a dataclass"
         )
-    raise ArgumentError(f"one side of a branch leaves {_told(a)} and the other {_told(b)}")
+    raise ArgumentError(f"one side of a branch leaves {_described(a)} and the other {_described(b)}")
 
 
 def _chosen(graph: Graph, flag: Node, new: Any, a: Any, b: Any) -> Any:
@@ -246,7 +246,7 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, (Word, int, np.integer, np.bool_))
 
 
-def _told(value: Any) -> str:
+def _described(value: Any) -> str:
     if isinstance(value, Word):
         return "a word"
     if isinstance(value, (tuple, list)):
