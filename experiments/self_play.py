@@ -21,7 +21,8 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation.matches import Match, cross_table
 from pearl_marl.experiments.calling import call
 from pearl_marl.experiments.perfect_play import ILLEGAL, Judge
-from pearl_marl.policies.loading import RANDOM, Policy, load_policy
+from pearl_marl.policies import trained
+from pearl_marl.policies.loading import RANDOM, Policy, random_policy
 
 Array = npt.NDArray[Any]
 
@@ -85,15 +86,15 @@ def main(
     if not files:
         raise ArgumentError(f"{run} has no folder past/: give that of a run of --algo self-play")
     chosen = [files[k] for k in sorted({round(k) for k in np.linspace(0, len(files) - 1, members)})]
-    policies = {str(int(file.stem)): load_policy(str(file), SPEC) for file in chosen}
-    policies["last"] = load_policy(str(run), SPEC)
+    policies = {str(int(file.stem)): trained.load(file).choose for file in chosen}
+    policies["last"] = trained.load(run).choose
     sets = positions(judged), positions(judged, policies["last"], STRAY)
     headings = "optimal in random games", "in games of the last"
     table = Table("after iteration", "against random: won", "drawn", "lost", *headings)
-    chance = (share_of_optimal(load_policy(RANDOM, SPEC), *each) for each in sets)
+    chance = (share_of_optimal(random_policy(SPEC), *each) for each in sets)
     table.add_row(RANDOM, "", "", "", *(f"{share:.1%}" for share in chance))
     for name, policy in policies.items():
-        match = Match(SPEC, policy, load_policy(RANDOM, SPEC, 1), 2 * games, openings=0)
+        match = Match(SPEC, policy, random_policy(SPEC, 1), 2 * games, openings=0)
         for _ in match.run():
             pass
         out = match.outcome()

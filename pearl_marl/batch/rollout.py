@@ -26,13 +26,12 @@ class Rollout:
     ----------
     steps
         How many steps every agent did.
-    truncated
-        How many episodes nothing but the time limit ended.
     returns, squares
         Sums of the returns of each agent's episodes, and of their squares, ``float64`` of shape
         ``(n_agents,)``.
-    lengths, ended
-        Sums of these episodes' steps, and how many they are, ``int64`` of shape ``(n_agents,)``.
+    lengths, ended, truncated
+        Sums of these episodes' steps, how many they are, and how many of them nothing but the time limit
+        ended, ``int64`` of shape ``(n_agents,)``.
     observations, action_masks
         What agents saw before each step, of shape ``(steps, n_agents, ...)``. These and the following are
         ``None`` unless every step was asked for; and ``action_masks`` where the environment has none.
@@ -46,11 +45,11 @@ class Rollout:
     """
 
     steps: int
-    truncated: int
     returns: npt.NDArray[np.float64]
     squares: npt.NDArray[np.float64]
     lengths: npt.NDArray[np.int64]
     ended: npt.NDArray[np.int64]
+    truncated: npt.NDArray[np.int64]
     observations: Array | None = None
     action_masks: Array | None = None
     actions: Array | None = None

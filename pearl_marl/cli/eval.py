@@ -8,7 +8,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from pearl_marl.benchmark.tables import duration
+from pearl_marl.benchmark.tables import duration, rate
 from pearl_marl.checks import MANY
 from pearl_marl.cli import common, match
 from pearl_marl.cli.common import console, error_console
@@ -31,8 +31,8 @@ PolicyName = Annotated[
     typer.Option(
         "--policy",
         help="`random`, a table of action values (FILE.npy, FILE.npz), a model of Stable-Baselines3 "
-        "(FILE.zip), a folder of `pearl train`, or a function of observations (MODULE:FUNCTION, "
-        "FILE.py:FUNCTION).",
+        "(FILE.zip), a folder of `pearl train`, a file of `pearl quantize`, or a function of observations "
+        "(MODULE:FUNCTION, FILE.py:FUNCTION).",
     ),
 ]
 # What `pearl match` does was an option here; these work for one version more.
@@ -63,7 +63,8 @@ def command(
 ) -> None:
     """Evaluate a policy on a device: returns, lengths, latency of every stage, and a digest.
 
-    The digest is the same on every device. --out gets evaluation.json and a page, evaluation.html.
+    The digest is the same on every device. A policy of `pearl quantize` runs beside the environments, and has
+    a rate in place of latencies. --out gets evaluation.json and a page, evaluation.html.
     Exit status 1: with --lockstep, the device differs from the golden functions.
     """
     if against:
@@ -117,7 +118,8 @@ def command(
         common.print_json(result)
         return
     console.print(_outcome(result))
-    console.print(_latency(result))
+    if "latency" in result:
+        console.print(_latency(result))
     if lockstep:
         console.print(
             f"{escape(device)} is bit-exact with {REFERENCE}: {result['words_compared']:,} words compared.",
@@ -145,6 +147,8 @@ def _outcome(result: dict[str, Any]) -> Table:
         grid.add_row("return of a world", f"{result['world_return']['mean']:,.3f}")
         each = ", ".join(f"{row['mean']:,.3f} ({row['role']} {row['agent']})" for row in result["agents"])
         grid.add_row("of its agents", each)
+    if "agent_steps_per_second" in result:
+        grid.add_row("rollouts", f"{rate(result['agent_steps_per_second'])} agent-steps/s with the policy")
     grid.add_row("digest", result["digest"])
     return grid
 

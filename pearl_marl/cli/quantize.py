@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -23,7 +23,7 @@ Into = Annotated[
         show_default="integers.safetensors in the run folder",
     ),
 ]
-AGENTS = 1000
+AGENTS, BITS = 1000, 8
 Agents = Annotated[int | None, common.agents_option(AGENTS)]
 WeightBits = Annotated[int, typer.Option("--weight-bits", min=4, max=16, help="Width of weights.")]
 ActivationBits = Annotated[
@@ -34,8 +34,8 @@ ActivationBits = Annotated[
 def command(
     run: Run,
     out: Into = None,
-    weight_bits: WeightBits = 8,
-    activation_bits: ActivationBits = 8,
+    weight_bits: WeightBits = BITS,
+    activation_bits: ActivationBits = BITS,
     n_agents: Agents = None,
     seed: common.Seed = 0,
     as_json: common.AsJson = False,
@@ -45,6 +45,22 @@ def command(
     Devices run such a policy beside their environments: see `rollout()`. The change of the return is printed
     with its 95 % confidence interval.
     """
+    figures = made_of(run, out, weight_bits, activation_bits, n_agents, seed)
+    if as_json:
+        common.print_json(figures)
+    else:
+        show(figures)
+
+
+def made_of(
+    run: Path,
+    out: Path | None = None,
+    weight_bits: int = BITS,
+    activation_bits: int = BITS,
+    n_agents: int | None = None,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Write the policy in integers of a run, by default into its folder; return what is known of it."""
     from pearl_marl.evaluation.quantization import Quantization
     from pearl_marl.policies import integer_file
 
@@ -58,29 +74,28 @@ def command(
     except ModuleNotFoundError as error:
         raise ArgumentError(f"{run} takes {error.name}: pip install '.[train]'") from None
     n_agents = common.agents_of(work.spec, n_agents, AGENTS)
-    for _ in common.progress(work.run(n_agents), n_agents, "Evaluating"):
+    for _ in common.progress(work.run(n_agents), 2 * n_agents, "Evaluating"):
         pass
     integer_file.save(work.network, file)
-    figures = work.summary()
-    if as_json:
-        common.print_json({**figures, "file": str(file)})
-    else:
-        grid = common.table(f"Return of {work.spec.id}", ["policy"], ["mean", "95 % confidence"])
-        for name, row in (
-            ("trained", figures["return_before"]),
-            (
-                f"in integers ({weight_bits}-bit weights, {activation_bits}-bit activations)",
-                figures["return_after"],
-            ),
-            ("change", figures["change"]),
-        ):
-            low, high = row["ci95_low"], row["ci95_high"]
-            grid.add_row(name, f"{row['mean']:,.2f}", "-" if low is None else f"{low:,.2f} to {high:,.2f}")
-        console.print(grid)
-        if (figures["change"]["ci95_high"] or 0) < 0:
-            error_console.print(
-                f"The policy in integers is worse, by {-figures['change']['mean']:,.2f}: more bits may help "
-                "(--weight-bits, --activation-bits).",
-                soft_wrap=True,
-            )
-    error_console.print(f"Wrote {file}.", soft_wrap=True, markup=False)
+    return {**work.summary(), "file": str(file)}
+
+
+def show(figures: dict[str, Any]) -> None:
+    """Print the returns of a trained policy and of the one in integers, and where that is."""
+    grid = common.table(f"Return of {figures['environment']}", ["policy"], ["mean", "95 % confidence"])
+    widths = f"{figures['weight_bits']}-bit weights, {figures['activation_bits']}-bit activations"
+    for name, row in (
+        ("trained", figures["return_before"]),
+        (f"in integers ({widths})", figures["return_after"]),
+        ("change", figures["change"]),
+    ):
+        low, high = row["ci95_low"], row["ci95_high"]
+        grid.add_row(name, f"{row['mean']:,.2f}", "-" if low is None else f"{low:,.2f} to {high:,.2f}")
+    console.print(grid)
+    if (figures["change"]["ci95_high"] or 0) < 0:
+        error_console.print(
+            f"The policy in integers is worse, by {-figures['change']['mean']:,.2f}: more bits may help "
+            "(--weight-bits, --activation-bits).",
+            soft_wrap=True,
+        )
+    common.say(f"Wrote {figures['file']}.")

@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from pearl_marl.checks import checked_number
 from pearl_marl.cli import common
+from pearl_marl.cli import quantize as integers
 from pearl_marl.cli.common import error_console
 from pearl_marl.cli.interrupts import interrupts
 from pearl_marl.errors import ArgumentError
@@ -57,6 +58,12 @@ Shards = Annotated[
         show_default="this process",
     ),
 ]
+Quantize = Annotated[
+    bool,
+    typer.Option(
+        "--quantize", help="In the end, do `pearl quantize`: write the policy in integers, too, and compare."
+    ),
+]
 Folder = Annotated[
     Path | None,
     typer.Option(
@@ -80,6 +87,7 @@ def command(
     goal: Goal = None,
     evaluate_every: Every = None,
     shards: Shards = None,
+    quantize: Quantize = False,
     option: common.Options = None,
     out: Folder = None,
     as_json: common.AsJson = False,
@@ -139,7 +147,10 @@ def command(
                 raise KeyboardInterrupt
     rows = run.rows
     best = max(rows, key=lambda row: row["eval_return"])
-    result = {"environment": env_id, "algorithm": algo, "folder": str(out), "best": best, "last": rows[-1]}
+    result: dict[str, Any] = {"environment": env_id, "algorithm": algo, "folder": str(out)}
+    result |= {"best": best, "last": rows[-1]}
+    if quantize:
+        result["quantized"] = integers.made_of(out)
     if as_json:
         common.print_json(result)
         return
@@ -147,6 +158,8 @@ def command(
         f"Best mean return {best['eval_return']:.2f}, after {best['agent_steps']:,} agent-steps and "
         f"{best['seconds']:.1f} s. Wrote {out}: policy.safetensors, metrics.csv, learning_curve.png"
     )
+    if quantize:
+        integers.show(result["quantized"])
 
 
 def _note(row: dict[str, Any]) -> str:

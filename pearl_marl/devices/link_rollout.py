@@ -97,7 +97,7 @@ class LinkRollout(NamedTuple):
 
         rollout = Rollout(
             steps=self.steps,
-            truncated=total(Statistics.TRUNCATED),
+            truncated=np.array([total(Statistics.TRUNCATED)]),
             returns=np.array([total(Statistics.RETURNS) * self.rewards.quantum]),
             squares=np.array([np.nan]),
             lengths=np.array([total(Statistics.LENGTHS)]),

@@ -30,7 +30,7 @@ from pearl_marl.devices.rollouts import Record, Sums
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ActionError
 from pearl_marl.golden import rng
-from pearl_marl.policies.device_policy import DevicePolicy, elements_of
+from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.integer_loops import Prepared, prepared
 from pearl_marl.policies.integer_network import IntegerNetwork
 
@@ -209,7 +209,7 @@ class Native(Device):
         if not isinstance(policy, IntegerNetwork):
             return super()._rollout(policy, steps, record, episodes)
         config, spec = self.config, self.config.spec
-        kernel = native_rollout.kernel(compile_kernels(elements_of(spec), self._elapsed.dtype))
+        kernel = native_rollout.kernel(compile_kernels(spec.in_elements, self._elapsed.dtype))
         network = prepared(policy)
         sums = Sums.of(self._elapsed.repeat(spec.agents), self.in_episode, episodes)
         kept = Record.of(config, steps if record else 0, policy.logits)

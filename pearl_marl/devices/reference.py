@@ -21,7 +21,6 @@ from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.devices.base import Device
 from pearl_marl.errors import DeviceError
 from pearl_marl.golden import GoldenFunction, reference, rng
-from pearl_marl.policies.device_policy import elements_of
 from pearl_marl.spec import TERMINATED, EnvSpec, Field
 
 
@@ -181,7 +180,7 @@ class Reference(Device):
 
     def elements(self) -> Observed:
         """See :meth:`Device.elements`."""
-        obs = self._observe(self._memory.state, elements_of(self.config.spec))
+        obs = self._observe(self._memory.state, self.config.spec.in_elements)
         obs[self._memory.ended_early.ravel()] = 0
         return Observed(obs.reshape(len(obs), -1), self.action_masks, self.in_episode)
 

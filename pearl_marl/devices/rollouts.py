@@ -19,7 +19,7 @@ from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.checks import checked_count_or_none, checked_flag, checked_integer
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.device_policy import DevicePolicy, elements_of, policy_draws
+from pearl_marl.policies.device_policy import ActionChoice, DevicePolicy, policy_draws
 from pearl_marl.spec import EnvSpec
 
 
@@ -74,7 +74,7 @@ class Sums(NamedTuple):
         """Return the result of a rollout of so many steps, with what was recorded of them."""
         return Rollout(
             steps=steps,
-            truncated=int(self.truncated.sum()),
+            truncated=self.truncated,
             returns=self.returns,
             squares=self.squares,
             lengths=self.lengths,
@@ -98,7 +98,7 @@ class Record(NamedTuple):
     def of(cls, config: BatchConfig, steps: int, logits: int) -> Record:
         """Return room for so many steps."""
         spec, n = config.spec, config.n_agents
-        seen = elements_of(spec)
+        seen = spec.in_elements
         rows, masks = (steps, n), len(spec.mask_fields)
         return cls(
             np.empty((*rows, seen.observation_size), element_dtype(seen)),
@@ -118,23 +118,39 @@ class Record(NamedTuple):
         """Return the steps as a :class:`Rollout` has them: as an environment takes and gives them."""
         spec = config.spec
         shape, dtype = (*self.rewards.shape, *spec.observation_shape), spec.observation_dtype
-        if elements_of(spec) is spec:
+        if spec.in_elements is spec:
             observations = self.elements.view(dtype) if dtype == np.bool_ else self.elements
         else:
             scale = np.array([2.0**-field.fraction for field in spec.observation], dtype)
             observations = self.elements.astype(dtype) * scale
-        fractions = np.array([2.0**-field.fraction for field in spec.action_fields])
-        actions = self.words * fractions if fractions.min() < 1 else self.words
-        space = spec.action_space
         return {
             "observations": observations.reshape(shape),
             "action_masks": self.masks if spec.mask_fields else None,
-            "actions": actions.astype(space.dtype).reshape(*self.rewards.shape, *(space.shape or ())),
+            "actions": actions_of(spec, self.words),
             "rewards": self.rewards,
             "terminations": self.terminations.view(np.bool_),
             "truncations": self.truncations.view(np.bool_),
             "logits": self.logits if self.logits.shape[2] else None,
         }
+
+
+def actions_of(spec: EnvSpec, words: Array) -> Array:
+    """Return words of actions, of shape ``(..., fields)``, as an environment takes them."""
+    fractions = np.array([2.0**-field.fraction for field in spec.action_fields])
+    actions = words * fractions if fractions.min() < 1 else words
+    space = spec.action_space
+    return actions.astype(space.dtype).reshape(*words.shape[:-1], *(space.shape or ()))
+
+
+def chosen(
+    config: BatchConfig, policy: DevicePolicy, observed: Observed, seed: tuple[int, int], tick: int
+) -> ActionChoice:
+    """Return what a policy chooses for all agents at a tick, of elements and masks that they are shown."""
+    agents = config.spec.agents
+    slots = np.repeat(config.first_slot + np.arange(config.n_envs), agents)
+    rows = np.tile(np.arange(agents), config.n_envs)
+    draws = policy_draws(policy.draws, seed, tick, slots, rows, agents)
+    return policy.choose(observed.obs, rows, observed.action_masks, draws)
 
 
 def check(config: BatchConfig, policy: object, steps: Any, record: object, episodes: object) -> None:
@@ -154,7 +170,7 @@ def check(config: BatchConfig, policy: object, steps: Any, record: object, episo
     checked_count_or_none("episodes", episodes)
     checked_flag("record", record)
     if record:
-        seen = elements_of(spec)
+        seen = spec.in_elements
         each = 2 * seen.observation_size * element_dtype(seen).itemsize + len(spec.mask_fields)
         check_memory(config, int(steps) * (each + 16 * len(spec.action_fields) + 6 + 4 * policy.logits))
 
@@ -169,7 +185,7 @@ def look(config: BatchConfig, memory: Array) -> Observed:
 
     Observations have the shape ``(n_agents, elements)``.
     """
-    spec, n = elements_of(config.spec), config.n_agents
+    spec, n = config.spec.in_elements, config.n_agents
     obs = np.empty((n, *spec.observation_shape), element_dtype(spec))
     masks = np.zeros((n, len(spec.mask_fields)), np.int8)
     in_episode = np.ones(n, np.uint8)
@@ -196,21 +212,17 @@ def by_steps(
     slots with the words of actions.
     """
     spec = config.spec
-    slots = np.repeat(config.first_slot + np.arange(config.n_envs), spec.agents)
-    agents = np.tile(np.arange(spec.agents), config.n_envs)
     room = room_for_words(spec, config.n_agents)
     for t in range(steps):
-        elements, masks, _ = see()
-        seed, tick = position()
-        draws = policy_draws(policy.draws, seed, tick, slots, agents, spec.agents)
-        choice = policy.choose(elements, agents, masks, draws)
+        seen = see()
+        choice = chosen(config, policy, seen, *position())
         room.reshape(choice.words.shape)[:] = choice.words
         result = step(room).on_host()
         sums.add(result, config.autoreset_mode is AutoresetMode.NEXT_STEP)
         if record is not None:
-            record.elements[t], record.words[t] = elements, choice.words
-            if masks is not None:
-                record.masks[t] = masks
+            record.elements[t], record.words[t] = seen.obs, choice.words
+            if seen.action_masks is not None:
+                record.masks[t] = seen.action_masks
             record.rewards[t], record.terminations[t] = result.rewards, result.terminations
             record.truncations[t] = result.truncations
             if choice.logits is not None:

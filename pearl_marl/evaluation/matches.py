@@ -13,8 +13,9 @@ from pearl_marl.batch.step import BatchStep
 from pearl_marl.checks import checked_integer
 from pearl_marl.devices import Device
 from pearl_marl.errors import ArgumentError
-from pearl_marl.evaluation.run import Evaluation, interval
+from pearl_marl.evaluation.run import Evaluation, acting, interval
 from pearl_marl.golden.rng import checked_seed
+from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.loading import Policy
 from pearl_marl.spec import EnvSpec
 
@@ -47,8 +48,8 @@ class Match(Evaluation):
     def __init__(
         self,
         spec: EnvSpec,
-        policy: Policy,
-        against: Policy,
+        policy: Policy | DevicePolicy,
+        against: Policy | DevicePolicy,
         n_agents: int,
         device: str | Device = "native",
         openings: int | None = None,
@@ -64,10 +65,11 @@ class Match(Evaluation):
         self.seats = _seats(n_agents, spec.agents)
 
         rng = np.random.default_rng(checked_seed(seed))
+        first, second = (acting(of, lambda: self.device) for of in (policy, against))
 
         def choose(*observed: Array) -> Array:
             # Both policies get all rows: some choose by an agent's row.
-            ours, theirs = np.asarray(policy(*observed)), np.asarray(against(*observed))
+            ours, theirs = np.asarray(first(*observed)), np.asarray(second(*observed))
             actions = np.where(_broadcast(self.seats, ours), ours, theirs)
             if self.elapsed.min() < openings:
                 drawn = random_actions(spec, rng, n_agents, *observed[1:])
@@ -117,7 +119,7 @@ class Match(Evaluation):
 
 def cross_table(
     spec: EnvSpec,
-    policies: Mapping[str, Policy],
+    policies: Mapping[str, Policy | DevicePolicy],
     n_agents: int,
     make_device: Callable[[], str | Device] = lambda: "native",
     **settings: Any,

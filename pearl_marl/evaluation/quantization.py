@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pearl_marl.batch.config import BatchConfig
-from pearl_marl.devices import Native
-from pearl_marl.evaluation.run import CONFIDENCE, LIMIT, Array, Evaluation, interval
+from pearl_marl.evaluation.run import CONFIDENCE, Array, Evaluation, interval
 from pearl_marl.policies.integer_network import IntegerNetwork
 
 SAMPLES = 4096
@@ -57,7 +55,7 @@ class Quantization:
     def run(self, n_agents: int) -> Iterator[None]:
         """Evaluate, quantise, evaluate again, with so many agents and an episode each.
 
-        Yields for every agent whose episode under the trained policy has ended.
+        Yields for every episode that has ended.
         """
         from pearl_marl.policies.quantizing import quantized
 
@@ -76,14 +74,9 @@ class Quantization:
         yield from evaluation.run()
         self.before = evaluation.returns
         self.network = quantized(self._policy, np.concatenate(samples), *self._bits)
-        limit = self.spec.max_cycles or LIMIT
-        device = Native()
-        device.open(BatchConfig(spec=self.spec, n_envs=evaluation.config.n_envs, max_cycles=limit))
-        try:
-            device.reset(self._seed)
-            self.after = device.rollout(self.network, limit, episodes=1).returns
-        finally:
-            device.close()
+        evaluation = Evaluation(self.spec, self.network, n_agents, seed=self._seed)
+        yield from evaluation.run()
+        self.after = evaluation.returns
 
     def summary(self) -> dict[str, Any]:
         """Return all figures by name, for JSON."""

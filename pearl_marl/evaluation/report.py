@@ -37,13 +37,15 @@ $facts
 $episodes
 <p class="note">$interval</p>
 $outcomes
-<h2>Latency of a step of all agents</h2>
 $latency
-<p class="note">T1 to T7 are the times of the latency model. The first step is left out: it loads code.</p>
-$stages
 </body>
 </html>
 """)
+
+_LATENCY = Template("""<h2>Latency of a step of all agents</h2>
+$table
+<p class="note">T1 to T7 are the times of the latency model. The first step is left out: it loads code.</p>
+$stages""")
 
 _BLUE, _GREY = "#3b6ea5", "#999999"
 
@@ -61,8 +63,10 @@ def write_report(evaluation: Evaluation, result: dict[str, Any], path: Path) -> 
         "Agents": f"{result['n_agents']:,}, seed {result['seed']}",
         "Steps": f"{result['steps']:,} of every agent",
         "Time limit": f"{result['max_cycles']:,} steps" if result["max_cycles"] else "none",
-        "Digest": f"{result['digest']} (over all observations, actions, rewards and ends)",
+        "Digest": result["digest"],
     }
+    if "agent_steps_per_second" in result:
+        facts["Rollouts"] = f"{result['agent_steps_per_second']:,.0f} agent-steps/s with the policy"
     if result["options"]:
         facts["Options"] = ", ".join(f"{name}={value}" for name, value in result["options"].items())
     if result["lockstep"] is not None:
@@ -79,15 +83,6 @@ def write_report(evaluation: Evaluation, result: dict[str, Any], path: Path) -> 
         )
         for name in ("return", "length")
     ]
-    rows = [*result["latency"], {"stage": "step, without the policy", "paper": "", **result["step"]}]
-    latency = [
-        (
-            row["stage"],
-            row["paper"] or "",
-            *(f"{row[key]:,.1f}" for key in ("p50_us", "p90_us", "p99_us", "max_us")),
-        )
-        for row in rows
-    ]
     page = _PAGE.substitute(
         title=html.escape(f"{result['environment']} on {result['device']}"),
         facts=_table((), facts.items()),
@@ -95,8 +90,7 @@ def write_report(evaluation: Evaluation, result: dict[str, Any], path: Path) -> 
         + _table(("", "mean", "95 % from", "to", "std", "min", "max"), spans),
         interval=html.escape(result["interval"]),
         outcomes=_outcomes(evaluation, result),
-        latency=_table(("stage", "time", "median, us", "90 %", "99 %", "max"), latency),
-        stages=_stages(result),
+        latency=_latency(result) if "latency" in result else "",
     )
     replace_file(path, page.encode("utf-8", "xmlcharrefreplace"))  # a name may have what is no letter
 
@@ -140,6 +134,22 @@ def _outcomes(evaluation: Evaluation, result: dict[str, Any]) -> str:
         axes.legend(frameon=False)
         axes.spines[["top", "right"]].set_visible(False)
     return _svg(figure, "Histograms of returns and lengths")
+
+
+def _latency(result: dict[str, Any]) -> str:
+    rows = [
+        (
+            row["stage"],
+            row["paper"] or "",
+            *(f"{row[key]:,.1f}" for key in ("p50_us", "p90_us", "p99_us", "max_us")),
+        )
+        for row in (
+            *result["latency"],
+            {"stage": "step, without the policy", "paper": "", **result["step"]},
+        )
+    ]
+    table = _table(("stage", "time", "median, us", "90 %", "99 %", "max"), rows)
+    return _LATENCY.substitute(table=table, stages=_stages(result))
 
 
 def _stages(result: dict[str, Any]) -> str:

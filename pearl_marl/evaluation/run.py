@@ -1,7 +1,8 @@
 """Evaluating a policy on a device: returns, lengths, what each stage of a step took, and a digest.
 
 The digest is a hash over everything that the policy saw and did. Devices give the same answers bit for
-bit, so one policy has one digest on all of them.
+bit, so one policy has one digest on all of them. A policy in integers runs beside the environments, in
+rollouts; the digest is then over the return, length and end of each episode.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -19,13 +20,14 @@ from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory, memory_of_machine
 from pearl_marl.batch.step import BatchStep, on_host
 from pearl_marl.checks import checked_count_or_none, checked_function
-from pearl_marl.devices import BatchConfig, Device, make_device
+from pearl_marl.devices import BatchConfig, Device, make_device, rollouts
 from pearl_marl.devices.transport import STAGES
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.evaluation.episodes import RunningEpisodes
 from pearl_marl.golden.rng import checked_seed
+from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.loading import Policy
-from pearl_marl.spec import EnvSpec, check_spec
+from pearl_marl.spec import MAX_CYCLES, EnvSpec, check_spec
 
 LIMIT = 1000
 """The time limit where neither the environment nor the caller has one: a policy that gets nowhere would
@@ -33,6 +35,9 @@ never end."""
 
 CONFIDENCE = 1.96
 """Standard errors to either side of a mean that make 95 % of a normal distribution."""
+
+FIRST_STEPS = 64
+"""Steps of the first rollout of a policy in integers; each further one has twice as many."""
 
 BINS = 60
 
@@ -51,7 +56,8 @@ class Evaluation:
     Parameters
     ----------
     policy
-        What chooses actions; see :mod:`pearl_marl.policies.loading`.
+        What chooses actions; see :mod:`pearl_marl.policies.loading`. Of a policy in integers, agents do their
+        second and further episodes in worlds of other seeds, which follow from ``seed``.
     device
         A name or a device. Of a :class:`~pearl_marl.devices.Lockstep`, the device that is checked is timed.
     episodes
@@ -67,13 +73,13 @@ class Evaluation:
     truncated
         How many of them only the time limit ended.
     steps
-        Steps taken by every agent.
+        Steps taken by every agent; of a policy in integers, those of the rollouts whose episodes count.
     """
 
     def __init__(
         self,
         spec: EnvSpec,
-        policy: Policy,
+        policy: Policy | DevicePolicy,
         n_agents: int,
         device: str | Device = "native",
         *,
@@ -82,7 +88,8 @@ class Evaluation:
         max_cycles: int | None = None,
     ) -> None:
         check_spec(spec)
-        checked_function("policy", policy)
+        if not isinstance(policy, DevicePolicy):
+            checked_function("policy", policy)
         most = memory_of_machine() // EPISODE_BYTES
         episodes = checked_count_or_none("the number of episodes", episodes)
         if episodes is not None and episodes > most:
@@ -107,6 +114,7 @@ class Evaluation:
         self._returns, self._lengths = np.full(self.episodes, np.nan), np.zeros(self.episodes, np.int64)
         self._digest = hashlib.sha256()
         self._seconds: list[dict[str, float]] = []
+        self._agent_steps_per_second: list[float] = []
         self._cycles: set[int] = set()
 
     @property
@@ -131,30 +139,62 @@ class Evaluation:
         """
         self.device.open(self.config)
         try:
-            stages = self.device.timed()
-            observed = self._observed(self.device.reset(self.seed))
-            self._add(*observed)
-            remaining = self.episodes
-            while remaining:
-                began = time.perf_counter()
-                actions = self._policy(*observed)
-                chosen = time.perf_counter()
-                encoded = self.device.encoded(actions)
-                checked = time.perf_counter() - chosen
-                step = self.device.step_words(encoded).on_host()
-                packed = checked + stages.get("pack", 0.0)
-                self._seconds.append({"policy": chosen - began, **stages, "pack": packed})
-                if self.device.cycles is not None:
-                    self._cycles.add(self.device.cycles)
-                observed = self._observed(step.obs)
-                self._add(encoded, *step[:4], step.final_obs[step.ended], *observed[1:])
-                counted = self._count(step)
-                remaining -= counted
-                yield from (None,) * counted
+            if isinstance(self._policy, DevicePolicy):
+                yield from self._roll_out(self._policy)
+            else:
+                yield from self._step_by_step(self._policy)
             if self.device.words_compared is not None:
                 self.device.snapshot()  # compares the states after the last step
         finally:
             self.device.close()
+
+    def _step_by_step(self, policy: Policy) -> Iterator[None]:
+        stages = self.device.timed()
+        observed = self._observed(self.device.reset(self.seed))
+        self._add(*observed)
+        remaining = self.episodes
+        while remaining:
+            began = time.perf_counter()
+            actions = policy(*observed)
+            chosen = time.perf_counter()
+            encoded = self.device.encoded(actions)
+            checked = time.perf_counter() - chosen
+            step = self.device.step_words(encoded).on_host()
+            packed = checked + stages.get("pack", 0.0)
+            self._seconds.append({"policy": chosen - began, **stages, "pack": packed})
+            if self.device.cycles is not None:
+                self._cycles.add(self.device.cycles)
+            observed = self._observed(step.obs)
+            self._add(encoded, *step[:4], step.final_obs[step.ended], *observed[1:])
+            counted = self._count(step)
+            remaining -= counted
+            yield from (None,) * counted
+
+    def _roll_out(self, policy: DevicePolicy) -> Iterator[None]:
+        """Count one episode of each agent that has one left, from a reset, until none has."""
+        limit, seed = self.config.limit, self.seed
+        later = np.random.default_rng(self.seed)
+        while len(agents := np.flatnonzero(self._done < self._quota)):
+            steps = counted = 0
+            # Nobody knows how long the longest episode is. To begin again costs at most as many steps again,
+            # and takes nothing of a device but sums.
+            while counted < len(agents):
+                steps = min(max(2 * steps, FIRST_STEPS), limit or MAX_CYCLES)
+                self.device.reset(seed)
+                began = time.perf_counter()
+                sums = self.device.rollout(policy, steps, episodes=1)
+                seconds = time.perf_counter() - began
+                self._agent_steps_per_second.append(steps * self.config.n_agents / seconds)
+                ended = int(sums.ended[agents].sum())
+                yield from (None,) * (ended - counted)
+                counted = ended
+            self.steps += steps
+            self._add(*(array[agents] for array in (sums.returns, sums.lengths, sums.truncated)))
+            episodes = self._first[agents] + self._done[agents]
+            self._returns[episodes], self._lengths[episodes] = sums.returns[agents], sums.lengths[agents]
+            self.truncated += int(sums.truncated[agents].sum())
+            self._done[agents] += 1
+            seed = int(later.integers(1 << 31))
 
     def _observed(self, obs: Array) -> tuple[Array, ...]:
         """Return the arguments of the policy: observations, and masks if there are any."""
@@ -203,11 +243,10 @@ class Evaluation:
     def summary(self) -> dict[str, Any]:
         """Return all figures by name, for JSON.
 
-        Latencies leave out the first step, which loads the code.
+        Latencies leave out the first step, which loads the code. Rollouts have a rate, that of the fastest.
         """
-        if not self._seconds:
+        if not (self._seconds or self._agent_steps_per_second):
             raise OrderError("summary() before run(): iterate over run() first")
-        stages = [name for name in ("policy", *STAGES) if name in self._seconds[-1]]
         result = {
             "environment": self.config.spec.id,
             "options": dict(self.config.spec.options),
@@ -223,17 +262,34 @@ class Evaluation:
             "interval": "mean +- 1.96 standard errors: 95 %, by normal approximation",
             **self._of_worlds(),
             "digest": self.digest,
-            "latency": [
+        }
+        if self._seconds:
+            stages = [name for name in ("policy", *STAGES) if name in self._seconds[-1]]
+            result["latency"] = [
                 {"stage": name, "paper": STAGES.get(name), **spread([row[name] for row in self._seconds])}
                 for name in stages
-            ],
-            "step": spread([sum(row.values()) - row["policy"] for row in self._seconds]),
-        }
+            ]
+            result["step"] = spread([sum(row.values()) - row["policy"] for row in self._seconds])
+        else:
+            result["agent_steps_per_second"] = max(self._agent_steps_per_second)
         if self._cycles:
             result["clock_cycles"] = {"min": min(self._cycles), "max": max(self._cycles)}
         if self.device.words_compared is not None:
             result["words_compared"] = self.device.words_compared
         return result
+
+
+def acting(policy: Policy | DevicePolicy, device: Callable[[], Device]) -> Policy:
+    """Return a policy as a function of observations; one in integers looks at the slots of ``device()``."""
+    if not isinstance(policy, DevicePolicy):
+        return policy
+
+    def choose(*_: Array) -> Array:
+        on = device()
+        choice = rollouts.chosen(on.config, policy, on.elements(), on.seed, on.tick)
+        return rollouts.actions_of(on.config.spec, choice.words)
+
+    return choose
 
 
 def interval(values: Array) -> dict[str, float | None]:

@@ -3,6 +3,6 @@
 May import ``batch`` and what is below it.
 """
 
-from pearl_marl.policies.loading import RANDOM, Policy, load_policy, table_policy
+from pearl_marl.policies.loading import RANDOM, Policy, load_policy, random_policy, table_policy
 
-__all__ = ["RANDOM", "Policy", "load_policy", "table_policy"]
+__all__ = ["RANDOM", "Policy", "load_policy", "random_policy", "table_policy"]

@@ -10,12 +10,10 @@ steps would have been.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from gymnasium.spaces import Box
 
 from pearl_marl.golden import rng
 from pearl_marl.spec import EnvSpec
@@ -79,24 +77,3 @@ def policy_draws(
         for k in range(count):
             result[rows, k] = rng.draws(seed, slots[rows], tick, FIRST_DRAW + count * agent + k)
     return result
-
-
-def elements_of(spec: EnvSpec) -> EnvSpec:
-    """Return the same environment with the elements of its observations as observations: integers.
-
-    It is the same spec where they are integers already.
-    """
-    if spec.observation_dtype.kind in "biu":
-        return spec
-    fields = tuple(replace(field, fraction=0) for field in spec.observation)
-    dtype = np.int64 if any(field.bits + (not field.signed) > 32 for field in fields) else np.int32
-    low, high = np.array([field.range for field in fields], np.int64).T
-    space = Box(low.astype(dtype), high.astype(dtype), (len(fields),), dtype)
-    roles = tuple(role._replace(observation_space=space) for role in spec.roles)
-    return replace(
-        spec,
-        golden=spec.golden._replace(view=None),
-        observation=fields,
-        observation_space=space,
-        roles=roles,
-    )

@@ -73,6 +73,14 @@ def save(network: IntegerNetwork, path: Path) -> None:
     )
 
 
+def is_one(path: Path) -> bool:
+    """Return whether a policy's file is of a policy in integers; refuse a damaged one."""
+    from pearl_marl.policies import policy_file
+
+    about, _ = policy_file.read(path)
+    return isinstance(about, dict) and about.get("kind") == KIND
+
+
 def load_policy(path: str | Path) -> IntegerNetwork:
     """Read a policy that devices can run, for ``rollout()``: a file, or the one in a run folder.
 

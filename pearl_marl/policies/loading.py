@@ -24,6 +24,7 @@ from pearl_marl.base.files import check_uncompressed
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.errors import ArgumentError, one_line
 from pearl_marl.golden.rng import checked_seed
+from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.spec import EnvSpec, check_spec
 from pearl_marl.spec.elements import are_numbers, bounds
 
@@ -37,7 +38,7 @@ Where the environment has masks, they are a second argument, shape ``(n, n_actio
 RANDOM = "random"
 
 
-def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
+def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy | DevicePolicy:
     """Return the policy of that name.
 
     Parameters
@@ -46,7 +47,8 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
         ``"random"``: uniform actions, of those that masks allow. ``FILE.npy`` or ``FILE.npz`` (its array
         ``q``): a table of action values, of shape ``(*observations, actions)``; the greedy policy.
         ``FILE.zip``: a model of Stable-Baselines3, without exploration. A folder of ``pearl train``, or its
-        ``policy.safetensors``: what was learned. ``MODULE:FUNCTION`` or ``FILE.py:FUNCTION``: a function.
+        ``policy.safetensors``: what was learned. A file of ``pearl quantize``: a policy in integers.
+        ``MODULE:FUNCTION`` or ``FILE.py:FUNCTION``: a function.
     spec
         The environment it is for.
     seed
@@ -61,8 +63,7 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
     if not isinstance(name, str):
         raise ArgumentError(f"policy is {name!r}; it must be its name, such as {RANDOM!r} or a file's")
     if name == RANDOM:
-        rng = np.random.default_rng(checked_seed(seed))
-        return lambda observations, masks=None: random_actions(spec, rng, len(observations), masks)
+        return random_policy(spec, seed)
     path = Path(name)
     if name and path.is_dir():
         path /= "policy.safetensors"
@@ -81,6 +82,12 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy:
         "FILE.npz), a model of Stable-Baselines3 (FILE.zip), a folder of `pearl train`, and a function "
         "(MODULE:FUNCTION, FILE.py:FUNCTION)"
     )
+
+
+def random_policy(spec: EnvSpec, seed: int = 0) -> Policy:
+    """Return the policy that chooses uniformly, of the actions that masks allow."""
+    rng = np.random.default_rng(checked_seed(seed))
+    return lambda observations, masks=None: random_actions(spec, rng, len(observations), masks)
 
 
 def table_policy(table: npt.ArrayLike, spec: EnvSpec) -> Policy:
@@ -221,20 +228,24 @@ def _check_space(path: Path, what: str, theirs: Any, ours: Any) -> None:
         raise ArgumentError(f"{path} was trained on {what} in {theirs}; here they are in {ours}")
 
 
-def _trained(path: Path, spec: EnvSpec, seed: int) -> Policy:
+def _trained(path: Path, spec: EnvSpec, seed: int) -> Policy | DevicePolicy:
+    found: Any
     try:
-        from pearl_marl.policies import trained  # which takes torch
+        from pearl_marl.policies import integer_file, trained  # which take torch
 
-        found = trained.load(path)
+        found = integer_file.load_policy(path) if integer_file.is_one(path) else trained.load(path)
     except ModuleNotFoundError as error:
         raise ArgumentError(f"{path} takes {error.name}: pip install '.[train]'") from None
     _check_space(path, "observations", found.spec.observation_space, spec.observation_space)
     _check_space(path, "actions", found.spec.action_space, spec.action_space)
+    if isinstance(found, DevicePolicy):
+        return found
     found.seed(seed)
-    return found.choose
+    choose: Policy = found.choose
+    return choose
 
 
-_LOADERS: dict[tuple[str, ...], Callable[[Path, EnvSpec, int], Policy]] = {
+_LOADERS: dict[tuple[str, ...], Callable[[Path, EnvSpec, int], Policy | DevicePolicy]] = {
     (".npy", ".npz"): _table,
     (".safetensors",): _trained,
     (".zip",): _stable_baselines3,

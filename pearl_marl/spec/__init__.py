@@ -497,6 +497,23 @@ class EnvSpec:
         return Field("action", bits, signed).dtype
 
     @cached_property
+    def in_elements(self) -> EnvSpec:
+        """The same environment with the elements of its observations as observations: integers.
+
+        Those of a ``Box`` of floats are its fixed-point words. It is the same spec where they are integers
+        already.
+        """
+        if self.observation_dtype.kind in "biu":
+            return self
+        words = tuple(replace(word, fraction=0) for word in self.observation)
+        dtype = np.int64 if any(word.bits + (not word.signed) > 32 for word in words) else np.int32
+        low, high = np.array([word.range for word in words], np.int64).T
+        space = Box(low.astype(dtype), high.astype(dtype), (len(words),), dtype)
+        roles = tuple(role._replace(observation_space=space) for role in self.roles)
+        golden = self.golden._replace(view=None)
+        return replace(self, golden=golden, observation=words, observation_space=space, roles=roles)
+
+    @cached_property
     def functions(self) -> tuple[GoldenFunction, ...]:
         """The positional golden functions that there are."""
         golden = self.positional[:4]

@@ -19,7 +19,7 @@ from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError, PearlError, SavedStateError, brief, one_line
 from pearl_marl.evaluation.matches import Match
 from pearl_marl.evaluation.run import Evaluation
-from pearl_marl.policies.loading import RANDOM, load_policy
+from pearl_marl.policies.loading import random_policy
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training import dqn, ppo, q_learning, self_play
 from pearl_marl.training.presets import PRESETS
@@ -326,7 +326,7 @@ def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> tuple[float, 
     """
     policy.seed(seed)
     if spec.turns:
-        match = Match(spec, policy.choose, load_policy(RANDOM, spec, seed), n, openings=0, seed=seed)
+        match = Match(spec, policy.choose, random_policy(spec, seed), n, openings=0, seed=seed)
         evaluation: Evaluation = match
         counted = match.seats
     else:

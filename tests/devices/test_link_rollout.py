@@ -26,7 +26,7 @@ from pearl_marl.memory_map import (
     StatusError,
     memory_map,
 )
-from pearl_marl.policies.device_policy import elements_of, policy_draws
+from pearl_marl.policies.device_policy import policy_draws
 from pearl_marl.policies.integer_network import IntegerNetwork
 
 from ..rtl.random_policies import random_network, random_table
@@ -134,7 +134,7 @@ def test_a_rollout_is_its_steps(
     pe_num = min(4, settings["n_envs"])
     hardware, native = Rtl(pe_num, data_wl, engine=engine), Native()
     hardware.open(BatchConfig(spec=spec, **settings))
-    native.open(BatchConfig(spec=elements_of(spec), **settings))
+    native.open(BatchConfig(spec=spec.in_elements, **settings))
     hardware.reset(seed=3)
     obs, sums = native.reset(seed=3), Expected(native.config.n_envs, spec.agents)
     widths = [len(spec.observation), *(hidden or []), *spec.action_counts]
@@ -150,7 +150,7 @@ def test_a_rollout_is_its_steps(
             )
         found = hardware.rollout(policy, steps)
         obs = step_by_step(native, obs, policy, steps, sums)
-        assert (found.episodes, found.truncated) == (sums.ended, sums.truncated)
+        assert (found.episodes, *found.truncated) == (sums.ended, sums.truncated)
         assert (found.lengths.sum(), found.returns.sum()) == (sums.lengths, sums.returns)
         episodes += found.episodes
         assert hardware.tick == native.tick

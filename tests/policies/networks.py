@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pearl_marl.policies.device_policy import Array, elements_of
+from pearl_marl.policies.device_policy import Array
 from pearl_marl.policies.integer_network import (
     ENTRIES,
     Dense,
@@ -28,7 +28,7 @@ def random_network(
 ) -> IntegerNetwork:
     """Return a network for an environment; without ``widths`` a table, of observations that are numbers."""
     rng = np.random.default_rng(seed)
-    seen = elements_of(spec)
+    seen = spec.in_elements
     size = seen.observation_size
     low, high = (end.ravel().astype(np.float64) for end in bounds(seen.observation_space))
     inputs: Scaling | Rows | Patches

@@ -10,7 +10,7 @@ import pytest
 
 import pearl_marl
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.device_policy import Array, elements_of
+from pearl_marl.policies.device_policy import Array
 from pearl_marl.policies.integer_loops import TILE, compiled_act, prepared
 from pearl_marl.policies.integer_network import Dense, Head, IntegerNetwork, Scaling
 from pearl_marl.spec import EnvSpec
@@ -23,7 +23,7 @@ N = 2 * TILE + 11
 
 def some_elements(spec: EnvSpec, rng: np.random.Generator) -> Array:
     """Return elements all over their ranges, the ends among them."""
-    seen = elements_of(spec)
+    seen = spec.in_elements
     low, high = (end.ravel().astype(np.int64) for end in bounds(seen.observation_space))
     rows = rng.integers(low, high, (N, len(low)), endpoint=True)
     rows[0], rows[1] = low, high

@@ -207,3 +207,11 @@ def test_the_command(tmp_path: Path, pearl: Any) -> None:
         status, _, err = pearl("quantize", *arguments)
         assert status == 2
         assert sentence in err
+
+
+def test_training_ends_with_it_on_request(tmp_path: Path, pearl: Any) -> None:
+    line = ("train", "CliffWalking", "--algo", "q-learning", "--n-agents", "8", "--iterations", "2")
+    status, out, _ = pearl(*line, "--quantize", "--out", str(tmp_path / "run"), "--json")
+    assert status == 0
+    assert json.loads(out)["quantized"]["file"] == str(tmp_path / "run" / "integers.safetensors")
+    assert isinstance(pearl_marl.load_policy(tmp_path / "run"), IntegerNetwork)
