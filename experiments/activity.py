@@ -26,8 +26,8 @@ from rich.progress import track
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.benchmark.tables import Table
 from pearl_marl.devices import BatchConfig, Rtl
+from pearl_marl.envs import get_spec
 from pearl_marl.experiments.calling import call
-from pearl_marl.registry import get_spec
 
 CONFIGURATIONS = (
     ("CliffWalking", 64, 4, 32),

@@ -12,9 +12,9 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from pearl_marl.envs import get_spec
 from pearl_marl.experiments.calling import call
 from pearl_marl.interfaces.parallel import parallel_env
-from pearl_marl.registry import get_spec
 from pearl_marl.rendering import Video
 from pearl_marl.training.ppo import PPO
 from pearl_marl.training.run import settings_for

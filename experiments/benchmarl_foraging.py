@@ -27,8 +27,8 @@ from rich.console import Console
 from torchrl.envs import PettingZooWrapper, SerialEnv
 
 import pearl_marl
+from pearl_marl.base.files import replace_file
 from pearl_marl.experiments.calling import call
-from pearl_marl.files import replace_file
 from pearl_marl.wrappers.benchmarl import PearlTask
 from pearl_marl.wrappers.torchrl import TorchRLEnv
 

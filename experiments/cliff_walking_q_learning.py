@@ -25,9 +25,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 import pearl_marl
+from pearl_marl.base.files import replace_file
 from pearl_marl.evaluation.episodes import EpisodeStatistics
 from pearl_marl.experiments.calling import call
-from pearl_marl.files import replace_file
 from pearl_marl.rendering import import_pyplot, save_figure
 
 ROWS, COLUMNS, START, GOAL = 4, 12, 36, 47

@@ -15,10 +15,10 @@ from typing import Annotated, Any
 import typer
 
 from pearl_marl.compiler.cores import Core, generated_core
+from pearl_marl.envs import get_spec, names
 from pearl_marl.experiments.calling import call
 from pearl_marl.hardware import toolchain
 from pearl_marl.hardware.synthesis import CELLS, Family, count_cells
-from pearl_marl.registry import get_spec, names
 
 FAMILIES = (Family.XC7, Family.ECP5)
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from pearl_marl.envs import get_spec, names
 from pearl_marl.hardware.build import Build
 from pearl_marl.latency import axi_cycles, draws_wait, loop_cycles, measure_host, step_cycles
 from pearl_marl.memory_map import default_map, memory_map
-from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
 
 from . import latency_model

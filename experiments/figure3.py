@@ -8,8 +8,8 @@ import gymnasium
 import numpy as np
 
 from pearl_marl.benchmark.paper import TABLE_2, TABLE_2_SOURCE
+from pearl_marl.envs import get_spec, names
 from pearl_marl.memory_map import ter_bits
-from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, word_bits
 
 from . import paper

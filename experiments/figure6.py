@@ -14,11 +14,11 @@ from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.benchmark.steps import contenders, simulated
 from pearl_marl.benchmark.tables import BATCH, ENVPOOL, KERNEL
 from pearl_marl.devices import Rtl
+from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.latency import plan
 from pearl_marl.latency.prediction import Overlap, Prediction
-from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
 
 from . import paper, paper_builds, pipeline

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from pearl_marl.benchmark.watch import mean_return
-from pearl_marl.registry import get_spec
+from pearl_marl.envs import get_spec
 from pearl_marl.training.run import ALGORITHMS, settings_for
 
 from . import paper, sb3_training

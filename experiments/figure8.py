@@ -7,7 +7,7 @@ from typing import Any
 from pearl_marl.benchmark.measure import UnavailableError
 from pearl_marl.benchmark.steps import contenders
 from pearl_marl.benchmark.tables import BATCH, ENVPOOL
-from pearl_marl.registry import get_spec
+from pearl_marl.envs import get_spec
 from pearl_marl.spec import EnvSpec
 
 from . import activity, energy, figure6, paper

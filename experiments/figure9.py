@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 from typing import Any
 
+from pearl_marl.envs import get_spec
 from pearl_marl.hardware import toolchain
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.synthesis import synthesise
-from pearl_marl.registry import get_spec
 
 from . import paper
 from .section import (

@@ -8,9 +8,9 @@ import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from pearl_marl.envs import get_spec
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies import trained
-from pearl_marl.registry import get_spec
 from pearl_marl.training.run import Training, settings_for, train
 
 from . import paper

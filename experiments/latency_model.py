@@ -13,10 +13,10 @@ from rich.progress import track
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.benchmark.tables import Table
 from pearl_marl.devices import BatchConfig, Rtl
+from pearl_marl.envs import get_spec
 from pearl_marl.experiments.calling import call
 from pearl_marl.hardware.build import Build
 from pearl_marl.latency import axi_cycles, draws_wait, step_cycles
-from pearl_marl.registry import get_spec
 
 CONFIGURATIONS = (
     ("CliffWalking", 70, 3, 32),

@@ -17,15 +17,15 @@ from typing import Any, NamedTuple
 from rich.console import Console
 from rich.progress import track
 
+from pearl_marl.base.files import replace_file
 from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.benchmark.tables import Table
+from pearl_marl.envs import get_spec
 from pearl_marl.experiments.calling import call
-from pearl_marl.files import replace_file
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import PARTS, modelled_bram36, modelled_dsp
 from pearl_marl.hardware.synthesis import Family, Usage, synthesise
 from pearl_marl.memory_map import memory_map
-from pearl_marl.registry import get_spec
 
 BOARD = "vc707"
 """The paper's."""

@@ -23,7 +23,7 @@ LINK, CLOCK = LINKS["gen2x8"], BOARDS[paper_builds.BOARD].clock_mhz * 1e6
 """The paper's link, and the clock in hertz that our design for its board has."""
 
 
-class Comparison(NamedTuple):
+class PipelineGain(NamedTuple):
     """A build with the pipeline and one without it."""
 
     pipelined: Prediction
@@ -67,12 +67,12 @@ def simulated_rate(
     return n_envs * clock / step_cycles(*Build.of(spec, n_envs, pe_num, data_wl), pipelined)
 
 
-def compare(env_id: str, n_envs: int | None = None) -> Comparison:
+def compare(env_id: str, n_envs: int | None = None) -> PipelineGain:
     """Predict both forms of one of the paper's environments, by default with as many slots as memory fits."""
     build = paper_builds.build(env_id, n_envs)
     (spec, layout), n = build, build.layout.n_envs
     host = measure_host(spec, n)
-    return Comparison(
+    return PipelineGain(
         predicted(spec, n, layout.pe_num, layout.data_wl, True, host),
         predicted(spec, n, 1, layout.data_wl, False, host),
         paper_builds.verdict(build),

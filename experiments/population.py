@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pearl_marl.envs import get_spec
 from pearl_marl.evaluation.run import Evaluation
-from pearl_marl.registry import get_spec
 from pearl_marl.training.q_learning import QLearning, QLearningSettings
 
 from .section import Colour, Progress, Row, having, log_axis, row_of, select, subplots, tidy

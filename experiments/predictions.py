@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from pearl_marl.benchmark.tables import Table, duration, rate
+from pearl_marl.envs import get_spec, names
 from pearl_marl.experiments import paper_builds, pipeline
 from pearl_marl.experiments.calling import call
 from pearl_marl.experiments.equations import LOOPS
@@ -20,7 +21,6 @@ from pearl_marl.latency import HostTimes, loop_cycles, plan, predict, step_cycle
 from pearl_marl.latency.cycles import RESULTS, read_cycles, write_cycles
 from pearl_marl.latency.prediction import Overlap
 from pearl_marl.memory_map import default_map, memory_map
-from pearl_marl.registry import get_spec, names
 
 SLOTS = 43_008
 PAPERS_LINK = (64, 256)

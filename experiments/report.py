@@ -20,9 +20,9 @@ from importlib import metadata, resources
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
+from pearl_marl.base.files import replace_file
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation.machine import machine
-from pearl_marl.files import replace_file
 from pearl_marl.rendering import import_pyplot, save_figure
 
 from .section import KINDS, Progress, Row, Section, having

@@ -23,9 +23,9 @@ from rich.console import Console
 from rich.table import Table
 
 import pearl_marl
+from pearl_marl.base.files import replace_file
 from pearl_marl.devices import Native
 from pearl_marl.experiments.calling import call
-from pearl_marl.files import replace_file
 
 console = Console()
 

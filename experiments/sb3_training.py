@@ -26,9 +26,9 @@ from torch import nn
 import pearl_marl
 from pearl_marl.benchmark.trainers.sb3 import EnvPoolVecEnv, best_actions
 from pearl_marl.benchmark.watch import mean_return
+from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError
 from pearl_marl.experiments.calling import call
-from pearl_marl.registry import get_spec
 from pearl_marl.training.run_folder import RunFolder
 
 MODELS: dict[str, Any] = {"ppo": PPO, "dqn": DQN}

@@ -16,13 +16,13 @@ from rich.table import Table
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Native
+from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation.matches import Match, cross_table
 from pearl_marl.experiments.calling import call
 from pearl_marl.experiments.perfect_play import ILLEGAL, Judge
 from pearl_marl.policies import trained
 from pearl_marl.policies.loading import RANDOM, Policy, random_policy
-from pearl_marl.registry import get_spec
 
 Array = npt.NDArray[Any]
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.synthesis import PLACEMENTS, Family, synthesise
-from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
 
 from . import paper

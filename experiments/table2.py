@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pearl_marl.benchmark.paper import TABLE_2, TABLE_2_SOURCE
+from pearl_marl.envs import get_spec, names
 from pearl_marl.hardware import elaboration
 from pearl_marl.memory_map import default_map
-from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import word_bits
 
 from .section import QUICK_ENVS, Progress, Row, row_of

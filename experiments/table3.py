@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pearl_marl.benchmark.tables import BATCH, ENVPOOL
+from pearl_marl.envs import get_spec
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import largest_fit
 from pearl_marl.hardware.synthesis import synthesise
-from pearl_marl.registry import get_spec
 
 from . import figure6, figure8, paper
 from .figure9 import BUILDS

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from pearl_marl.envs import get_spec
 from pearl_marl.policies import trained
-from pearl_marl.registry import get_spec
 from pearl_marl.training.run import Training, evaluate, settings_for, train
 
 from .section import Colour, Progress, Row, labelled, legend, panels, row_of, select, tidy

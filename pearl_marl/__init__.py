@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 
 import pearl_marl.envs
 from pearl_marl import errors
+from pearl_marl.base.version import __version__
+from pearl_marl.envs import get_spec
+from pearl_marl.envs import names as list_envs
 from pearl_marl.interfaces.registration import announce_all, register
-from pearl_marl.registry import get_spec
-from pearl_marl.registry import names as list_envs
-from pearl_marl.version import __version__
 
 _threads = os.environ.get("NUMBA_NUM_THREADS", "").strip()
 if _threads.lstrip("-").isdecimal() and int(_threads) < 1:
@@ -28,10 +28,10 @@ if _threads.lstrip("-").isdecimal() and int(_threads) < 1:
 if TYPE_CHECKING:
     import pearl_marl.wrappers as wrappers
     from pearl_marl import devices
+    from pearl_marl.compiler.packing import unpacked
     from pearl_marl.interfaces.aec import env, raw_env
     from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
     from pearl_marl.interfaces.vector import PearlVectorEnv, make_vec
-    from pearl_marl.packing import unpacked
     from pearl_marl.policies.integer_file import load_policy
     from pearl_marl.spec import EnvSpec
 else:
@@ -46,7 +46,7 @@ else:
         "make_vec": "interfaces.vector",
         "parallel_env": "interfaces.parallel",
         "raw_env": "interfaces.aec",
-        "unpacked": "packing",
+        "unpacked": "compiler.packing",
         "wrappers": "wrappers",
     }
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Any, TypeGuard, TypeVar
 
-from pearl_marl.errors import ArgumentError, shown
+from pearl_marl.errors import ArgumentError, brief
 
 T = TypeVar("T")
 
@@ -28,7 +28,7 @@ def is_number(value: object, infinite: bool = False) -> TypeGuard[float]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Range:
+class NumberRange:
     """A range of finite numbers, or of integers if ``whole``; ``value in range`` tells and ``str()`` says it.
 
     ``least`` and ``most`` belong to it themselves, ``above`` and ``below`` do not.
@@ -68,7 +68,12 @@ def checked_integer(name: str, value: Any, least: int = 1, most: float = math.in
 
     ``note`` goes on after what is possible, as ``" or None"`` or ``"; 0 is no limit"`` do.
     """
-    return int(_inside(Range(least=least, most=most, whole=True), name, value, note))
+    return int(_inside(NumberRange(least=least, most=most, whole=True), name, value, note))
+
+
+def checked_count_or_none(name: str, value: Any) -> int | None:
+    """Return an argument that has to be a positive integer or ``None``."""
+    return None if value is None else checked_integer(name, value, note=" or None")
 
 
 def checked_number(
@@ -82,12 +87,12 @@ def checked_number(
     note: str = "",
 ) -> float:
     """Return an argument that has to be a finite number of a range as a ``float``."""
-    return float(_inside(Range(least=least, most=most, above=above, below=below), name, value, note))
+    return float(_inside(NumberRange(least=least, most=most, above=above, below=below), name, value, note))
 
 
-def _inside(possible: Range, name: str, value: Any, note: str) -> Any:
+def _inside(possible: NumberRange, name: str, value: Any, note: str) -> Any:
     if value not in possible:
-        raise ArgumentError(f"{name} is {shown(value)}; it must be {possible}{note}")
+        raise ArgumentError(f"{name} is {brief(value)}; it must be {possible}{note}")
     return value
 
 
@@ -98,18 +103,18 @@ def checked_choice(name: str, value: T, choices: Collection[T], note: str = "") 
             return value
     *others, last = map(repr, choices)
     listed = f"{', '.join(others)} and {last}" if others else last
-    raise ArgumentError(f"{name} is {shown(value)}; possible are {listed}{note}")
+    raise ArgumentError(f"{name} is {brief(value)}; possible are {listed}{note}")
 
 
 def checked_flag(name: str, value: Any) -> bool:
     """Return an argument that has to be ``True`` or ``False``."""
     if not isinstance(value, bool):
-        raise ArgumentError(f"{name} is {shown(value)}; it must be True or False")
+        raise ArgumentError(f"{name} is {brief(value)}; it must be True or False")
     return value
 
 
 def checked_function(name: str, value: T) -> T:
     """Return an argument that has to be a function; a wrong one would fail late, at the first call."""
     if not callable(value):
-        raise ArgumentError(f"{name} is {shown(value)}; it must be a function")
+        raise ArgumentError(f"{name} is {brief(value)}; it must be a function")
     return value

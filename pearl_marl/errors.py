@@ -10,7 +10,7 @@ import warnings
 from typing import Any
 
 
-def shown(value: Any) -> str:
+def brief(value: Any) -> str:
     """Return what stands for a value from a file in a sentence: one line, however long the value is."""
     try:
         text = repr(value)
@@ -19,7 +19,7 @@ def shown(value: Any) -> str:
     return text if len(text) <= 200 else f"{text[:200]}..."
 
 
-def told(why: object) -> str:
+def one_line(why: object) -> str:
     """Return what another error says, as a part of a sentence: on one line, and not too long."""
     text = " ".join(str(why).split())
     return text if len(text) <= 600 else f"{text[:400]}...{text[-150:]}"
@@ -58,11 +58,11 @@ class LockstepError(PearlError, AssertionError):
     Attributes
     ----------
     divergence
-        What differs, decoded: a :class:`pearl_marl.comparison.divergence.Divergence`. Its fields ``step``,
+        What differs, decoded: a :class:`pearl_marl.devices.divergence.Divergence`. Its fields ``step``,
         ``slot``, ``state_before`` and ``action`` are attributes of the error too, and those of its first
         difference: ``field``, ``device_value`` and ``reference_value``.
     replay
-        What does it again: a :class:`pearl_marl.comparison.replay.Replay`.
+        What does it again: a :class:`pearl_marl.devices.replay.Replay`.
     """
 
     def __init__(self, divergence: Any, replay: Any) -> None:

@@ -308,7 +308,7 @@ def stream_bits(spec: EnvSpec) -> dict[str, int]:
     """Return the bits that a slot has in the regions of every step."""
     return {
         "actions": spec.agents * word_bits(spec.action_fields),
-        "observations": spec.agents * word_bits(spec.seen),
+        "observations": spec.agents * word_bits(spec.agent_fields),
         "rewards": spec.agents * spec.reward.bits,
         "ters": ter_bits(spec),
     }

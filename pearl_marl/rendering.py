@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.error import DependencyNotInstalled
 
+from pearl_marl.base.files import check_files, replace_file
 from pearl_marl.batch.step import BatchStep
 from pearl_marl.errors import ArgumentError, OrderError, PearlError
-from pearl_marl.files import check_files, replace_file
 from pearl_marl.spec import EnvSpec
 
 VIDEO_WORLDS, VIDEO_STEPS = 9, 200

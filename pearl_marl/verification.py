@@ -13,8 +13,8 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.actions import encode, random_actions, room_for_words
 from pearl_marl.batch.config import worlds_of
-from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices import BatchConfig, Lockstep
+from pearl_marl.devices.replay import Replay
 from pearl_marl.errors import ArgumentError, LockstepError
 from pearl_marl.spec import EnvSpec
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// The random draw of a slot under the keys of a step (`draw` of pearl_marl/rng.py): one a cycle,
+// The random draw of a slot under the keys of a step (`draw` of pearl_marl/golden/rng.py): one a cycle,
 // DRAW_LATENCY cycles after its slot number.
 module pearl_draw
   import pearl_pkg::*;

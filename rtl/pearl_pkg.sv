@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// What host and hardware agree on beyond addresses (pearl_marl/memory_map.py and pearl_marl/rng.py
+// What host and hardware agree on beyond addresses (pearl_marl/memory_map.py and pearl_marl/golden/rng.py
 // are the other side; a test compares the two), and helpers for parameter arithmetic.
 package pearl_pkg;
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// The keys of the random draws of one step (`key` of pearl_marl/rng.py): a chain of mix32 over seed,
+// The keys of the random draws of one step (`key` of pearl_marl/golden/rng.py): a chain of mix32 over seed,
 // tick and draw index, once with each of two initial values.
 //
 // A draw with no second key is a mix32, so the chains go round one pearl_draw, one a cycle behind the

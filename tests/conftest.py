@@ -28,7 +28,7 @@ os.environ.setdefault("RAY_worker_niceness", "0")
 os.environ.setdefault("PEARL_LIGHT_SIMULATION", "1")
 
 import pearl_marl
-from pearl_marl import cli, registry
+from pearl_marl import cli, envs
 
 from . import sampling
 from .toy import TOYS
@@ -164,7 +164,7 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
 @pytest.fixture
 def toys() -> Iterator[None]:
     """Register the toy environments for one test; the list of environments is as before afterwards."""
-    with mock.patch.dict(registry._specs):
+    with mock.patch.dict(envs._specs):
         for spec in (*TOYS, *WORLDS, *FIELDS):
             pearl_marl.register(spec)
         yield

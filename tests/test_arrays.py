@@ -14,7 +14,7 @@ import pytest
 
 import pearl_marl
 from pearl_marl import wrappers
-from pearl_marl.arrays import load_array
+from pearl_marl.base.arrays import load_array
 from pearl_marl.errors import ArgumentError, SavedStateError
 from pearl_marl.policies.loading import load_policy
 

@@ -21,14 +21,14 @@ from gymnasium.spaces import Discrete
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.devices import BatchConfig, Native, Rtl, Xdma
 from pearl_marl.devices.simulator.model_build import library
+from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import DeviceError, SavedStateError
 from pearl_marl.golden import Draws, i16, u8, u32
+from pearl_marl.golden.tracing.records import RULES
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.elaboration import env_hash
 from pearl_marl.layout import Bits
-from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, Field, Golden
-from pearl_marl.tracing.records import RULES
 
 from .devices.boards import served
 from .rtl.programs import defined
@@ -175,7 +175,7 @@ def test_each_agent_of_a_world_counts(spec: EnvSpec) -> None:
 KNOWN = json.loads(Path(__file__).with_name("behaviours.json").read_text())
 """As of all environments under the compiler's rules of now: boards are built with these. ``python -m
 tests.test_behaviour`` writes them anew. Where the functions are what they were, the compiler has changed:
-then count ``pearl_marl.tracing.records.RULES`` up, so that saved states load all the same."""
+then count ``pearl_marl.golden.tracing.records.RULES`` up, so that saved states load all the same."""
 
 
 def behaviours() -> dict[str, str]:

@@ -13,15 +13,15 @@ import numba
 import numpy as np
 import pytest
 
-from pearl_marl.cache import cache_folder, keep, kept, locked
+from pearl_marl.base.cache import cache_folder, keep, kept, locked
+from pearl_marl.base.machine_code import kept_code
 from pearl_marl.compiler import kernels
 from pearl_marl.devices import BatchConfig, Native
-from pearl_marl.machine_code import kept_code
-from pearl_marl.registry import get_spec
+from pearl_marl.envs import get_spec
 
 _USE = """
 import os, sys
-from pearl_marl.cache import cache_folder
+from pearl_marl.base.cache import cache_folder
 folder = cache_folder("kernels")
 child = os.fork()
 if not child:

@@ -15,8 +15,8 @@ import pytest
 
 import pearl_marl
 from pearl_marl import wrappers
+from pearl_marl.base.deferral import PATIENCE, uninterrupted
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.deferral import PATIENCE, uninterrupted
 from pearl_marl.devices import Phase
 from pearl_marl.devices.threads import Threads
 from tests.devices.boards import OwnBoard

@@ -13,9 +13,9 @@ from pathlib import Path
 import numba
 import pytest
 
-from pearl_marl.cache import cache_folder
+from pearl_marl.base.cache import cache_folder
+from pearl_marl.base.machine_code import Entries
 from pearl_marl.errors import DeviceError
-from pearl_marl.machine_code import Entries
 
 from .sampling import sampled
 
@@ -74,7 +74,9 @@ def test_harmless_ones(variables: dict[str, str], cache: Path) -> None:
 
 def test_a_user_whom_the_machine_does_not_know() -> None:
     """As in a container that runs under any number: there is no home, and no cache."""
-    done = run(f"{NOBODY}\nfrom pearl_marl.cache import *\nprint(is_kept(cache_folder('kernels')))", None)
+    done = run(
+        f"{NOBODY}\nfrom pearl_marl.base.cache import *\nprint(is_kept(cache_folder('kernels')))", None
+    )
     assert (done.returncode, done.stdout) == (0, "False\n"), done.stderr
 
 
@@ -141,5 +143,5 @@ def test_code_written_by_another_version_is_another_entry(
     monkeypatch.setenv("PEARL_CACHE_DIR", str(tmp_path))
     entries = Entries("function")
     entries.save("key", "code")
-    monkeypatch.setattr("pearl_marl.machine_code._format", lambda: "another")
+    monkeypatch.setattr("pearl_marl.base.machine_code._format", lambda: "another")
     assert entries.load("key") is None

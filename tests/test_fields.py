@@ -23,15 +23,15 @@ import pearl_marl
 from pearl_marl import verification, wrappers
 from pearl_marl.batch.actions import encode, limits, random_actions, random_numbers, room_for_words, why_not
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.comparison.replay import Replay
 from pearl_marl.compiler.cores import generated_core
 from pearl_marl.devices import BatchConfig, Cuda, Device, Lockstep, Native, Reference, Rtl, Sharded
-from pearl_marl.elements import action_counts, are_numbers, bounds
+from pearl_marl.devices.replay import Replay
 from pearl_marl.errors import ActionError, ArgumentError, LockstepError, SavedStateError
 from pearl_marl.hardware.elaboration import TARGET
 from pearl_marl.memory_map import stream_bits
 from pearl_marl.policies.loading import load_policy
 from pearl_marl.spec import EnvSpec, Field
+from pearl_marl.spec.elements import action_counts, are_numbers, bounds
 
 from .devices.boards import OwnBoard
 from .devices.broken import Flips

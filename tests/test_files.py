@@ -14,15 +14,15 @@ from typing import Any
 
 import pytest
 
-from pearl_marl import files
-from pearl_marl.cache import locked
+from pearl_marl.base import files
+from pearl_marl.base.cache import locked
+from pearl_marl.base.files import open_lock, replace_file
 from pearl_marl.errors import ArgumentError
-from pearl_marl.files import open_lock, replace_file
 
 WRITER = """
 import sys
 from pathlib import Path
-from pearl_marl.files import replace_file
+from pearl_marl.base.files import replace_file
 path, letter, times = Path(sys.argv[1]), sys.argv[2].encode(), int(sys.argv[3])
 for length in range(times):
     replace_file(path, letter * (1000 + length), keep=Path(sys.argv[4]) if sys.argv[4:] else None)
@@ -71,7 +71,7 @@ def test_leftovers_of_a_writer_that_was_killed(tmp_path: Path) -> None:
     program = """
 import os, sys, time
 from pathlib import Path
-from pearl_marl import files
+from pearl_marl.base import files
 files.os.fsync = lambda _: (print("there", flush=True), time.sleep(600))
 files.replace_file(Path(sys.argv[1]), b"half")
 """

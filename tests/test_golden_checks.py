@@ -14,11 +14,11 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import Draws, call_reference, i8, u8
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import values
+from pearl_marl.golden.tracing.trace import trace
 from pearl_marl.layout import Bits, Real, Signed
 from pearl_marl.spec import EnvSpec, Field, Golden
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import values
-from pearl_marl.tracing.trace import trace
 
 POINTS = (0, 1, 3)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import subprocess
 import sys
@@ -132,9 +133,9 @@ print(json.dumps([seen, "Pearl/Taxi-v0" in gymnasium.registry, "pearl/Taxi-v0" i
 
 
 def test_ids_are_known_without_the_specs() -> None:
-    script = "import json, sys; from pearl_marl import registry; known = registry.ids()\n"
+    script = "import json, sys; from pearl_marl import envs; known = envs.ids()\n"
     known = told(script + "print(json.dumps([known, 'pearl_marl.spec' in sys.modules]))")
-    from pearl_marl.registry import get_spec
+    from pearl_marl.envs import get_spec
 
     assert known[1] is False
     assert known[0] == {get_spec(name).name: get_spec(name).id for name in known[0]}
@@ -211,3 +212,18 @@ def test_training_imports_what_it_uses(tmp_path: Path) -> None:
     assert status == 0
     assert not modules & {"torch._dynamo", "torch._inductor", "matplotlib.pyplot", "ray", "pygame"}
     assert (tmp_path / "run" / "learning_curve.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("former", "present", "name"),
+    [
+        ("plan", "latency.planning", "plan"),
+        ("reals", "golden.reals", "Real"),
+        ("rng", "golden.rng", "draws"),
+    ],
+)
+def test_former_places_of_modules(former: str, present: str, name: str) -> None:
+    sys.modules.pop(f"pearl_marl.{former}", None)
+    with pytest.warns(DeprecationWarning, match=f"pearl_marl.{former} is deprecated: use pearl_marl."):
+        module = importlib.import_module(f"pearl_marl.{former}")
+    assert getattr(module, name) is getattr(importlib.import_module(f"pearl_marl.{present}"), name)

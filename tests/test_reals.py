@@ -16,8 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.reals import FUNCTIONS, Real, fraction_for, functions, select, stored
-from pearl_marl.reals.numbers import factor
+from pearl_marl.golden.reals import FUNCTIONS, Real, fraction_for, functions, select, stored
+from pearl_marl.golden.reals.numbers import factor
 
 FRACTIONS = 20, 26, 28, 30
 TRIALS = 5_000

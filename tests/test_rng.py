@@ -12,8 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from pearl_marl import rng
-from pearl_marl.golden import u32, u64, uniform_below
+from pearl_marl.golden import rng, u32, u64, uniform_below
 
 SEED = rng.seed_words(2024)
 SLOTS = np.arange(1 << 16)

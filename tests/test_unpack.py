@@ -12,11 +12,11 @@ import pytest
 from gymnasium.spaces import Box, Discrete
 
 import pearl_marl
+from pearl_marl.compiler.packing import packed
 from pearl_marl.devices import BatchConfig, make_device
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Array, Bits, Flag, Range
-from pearl_marl.packing import packed
 from pearl_marl.spec import EnvSpec, Golden
 
 

@@ -12,10 +12,10 @@ from gymnasium.spaces import Box, Space
 from pearl_marl.batch.actions import random_allowed, random_numbers
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.checks import checked_function, checked_number
-from pearl_marl.elements import ActionSpace
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
 from pearl_marl.interfaces.world import Mask
+from pearl_marl.spec.elements import ActionSpace
 
 from .base import Env, box, checked, differing, wrap
 from .transform import Rows, Transform
@@ -212,7 +212,7 @@ class _Sticky(Transform):
         self._taken = np.zeros((self.n, *(action_space.shape or ())), dtype)
         self._may_stick = np.zeros(self.n, np.bool_)
         self.memory = {"taken": self._taken, "may_stick": self._may_stick}
-        self._given: Array = self._taken
+        self._sent: Array = self._taken
 
     def is_possible(self, name: str, saved: dict[str, Array]) -> bool:
         # Of those that may be taken again; and a wrapper inside may have taken what is no number.
@@ -224,13 +224,13 @@ class _Sticky(Transform):
         masks = self.batch.action_masks
         if masks is not None:
             sticks = sticks[masks[sticks, self._taken[sticks]] != 0]
-        self._given = actions.astype(self._taken.dtype)
-        self._given[sticks] = self._taken[sticks]
-        return self._given
+        self._sent = actions.astype(self._taken.dtype)
+        self._sent[sticks] = self._taken[sticks]
+        return self._sent
 
     def results(self, step: BatchStep) -> BatchStep:
         # Only now is it sure that the actions were not refused.
-        self._taken[...] = self._given
+        self._taken[...] = self._sent
         self._may_stick[:] = True
         return super().results(step)
 

@@ -9,7 +9,7 @@ from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.step import Array, BatchStep
-from pearl_marl.checks import Range
+from pearl_marl.checks import NumberRange
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import uniform_below
 from pearl_marl.interfaces.batch import Batch
@@ -74,7 +74,7 @@ def frame_skip_v0(env: Env, num_frames: int | tuple[int, int]) -> Any:
     counts = num_frames if isinstance(num_frames, tuple) else (num_frames, num_frames)
     if (
         len(counts) != 2
-        or any(count not in Range(least=1, whole=True) for count in counts)
+        or any(count not in NumberRange(least=1, whole=True) for count in counts)
         or counts[0] > counts[1]
     ):
         raise ArgumentError(

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pearl_marl.machine_code import compiled
+from pearl_marl.base.machine_code import compiled
 
 
 @compiled

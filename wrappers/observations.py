@@ -14,9 +14,9 @@ from gymnasium.spaces import Box, Discrete, Space
 from pearl_marl.batch.results import Recycler, memory_of_machine
 from pearl_marl.batch.step import Array, BatchStep
 from pearl_marl.checks import checked_choice, checked_function, checked_integer, is_number
-from pearl_marl.elements import bounds
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch
+from pearl_marl.spec.elements import bounds
 
 from . import kernels
 from .base import Env, box, checked, differing, with_zeros, wrap

@@ -16,10 +16,10 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
+from pearl_marl.base.deferral import uninterrupted
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import BatchStep
 from pearl_marl.checks import checked_flag
-from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.evaluation.episodes import RunningEpisodes

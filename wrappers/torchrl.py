@@ -17,10 +17,10 @@ from pearl_marl.batch.actions import random_allowed
 from pearl_marl.batch.step import Array
 from pearl_marl.checks import checked_flag
 from pearl_marl.devices.by_name import make_host_device
-from pearl_marl.elements import action_counts, bounds
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.parallel import PearlParallelEnv
 from pearl_marl.spec import Role
+from pearl_marl.spec.elements import action_counts, bounds
 
 from .episodes import skips_frames
 from .waiting import WaitingWorlds, WorldsStep

@@ -11,14 +11,14 @@ import numpy.typing as npt
 from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import rng
 from pearl_marl.batch.actions import ActionRules
 from pearl_marl.batch.results import Recycler
 from pearl_marl.batch.step import Array, BatchStep
-from pearl_marl.elements import ActionSpace
 from pearl_marl.errors import OrderError, renamed
+from pearl_marl.golden import rng
 from pearl_marl.interfaces.batch import Batch
 from pearl_marl.interfaces.world import Mask
+from pearl_marl.spec.elements import ActionSpace
 
 Rows = npt.NDArray[np.intp]
 

@@ -1,4 +1,4 @@
 """What goes into a device and what comes out of it, for all slots at once.
 
-May import what describes an environment (``spec``, ``rng``, ``registry``), and nothing above that.
+May import what describes an environment (``spec``, ``golden``), and nothing above that.
 """

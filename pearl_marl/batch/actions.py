@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
+from pearl_marl.base.machine_code import compiled
 from pearl_marl.batch.step import on_host
-from pearl_marl.elements import ActionSpace, bounds
 from pearl_marl.errors import ActionError
 from pearl_marl.golden import uniform_below
-from pearl_marl.machine_code import compiled
 from pearl_marl.spec import EnvSpec
+from pearl_marl.spec.elements import ActionSpace, bounds
 
 
 class ActionRules:

@@ -90,7 +90,7 @@ class Recycler:
         return Recycler, (self._carve,)
 
 
-class Layout:
+class ResultLayout:
     """Where the arrays of a step's results lie in one block of bytes, each from a cache line on.
 
     In NEXT_STEP mode the observation of an ending step is the final one, so those have no place of their own;
@@ -155,7 +155,7 @@ def check_memory(config: BatchConfig, more: int = 0) -> None:
     That is what its slots and results take, and ``more`` bytes for each agent that the caller takes besides.
     """
     n = config.n_agents
-    needed = size(config.spec, config.n_envs) + Layout(config).size + n * more
+    needed = size(config.spec, config.n_envs) + ResultLayout(config).size + n * more
     there = memory_of_machine()
     if needed > there:
         raise ArgumentError(
@@ -172,7 +172,7 @@ class ResultArrays:
 
     def __init__(self, config: BatchConfig) -> None:
         check_memory(config)
-        self.layout = Layout(config)
+        self.layout = ResultLayout(config)
         self._new = Recycler(self.layout.arrays)
         # Without copies: the one block, and the arrays that every step writes over.
         self._block = None if config.copy else self._new.block(self.layout.size)

@@ -22,9 +22,9 @@ from pearl_marl.batch.config import GOLDEN, BatchConfig
 from pearl_marl.batch.rewards import reward_table
 from pearl_marl.batch.slot_checks import check_counters, check_observations, check_words
 from pearl_marl.batch.slot_memory import SlotMemory, size
-from pearl_marl.errors import ArgumentError, SavedStateError, shown, told
+from pearl_marl.errors import ArgumentError, SavedStateError, brief, one_line
+from pearl_marl.golden.tracing.records import comparable
 from pearl_marl.spec import EnvSpec
-from pearl_marl.tracing.records import comparable
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -62,7 +62,7 @@ class SavedState:
             type(reward) in (int, float) for reward in self.rewards
         ):
             raise SavedStateError(
-                f"the saved state has rewards = {shown(self.rewards)}; they must be numbers"
+                f"the saved state has rewards = {brief(self.rewards)}; they must be numbers"
             )
         try:
             reward_table(spec, self.rewards if self.rewards or spec.rewards is not None else None)
@@ -214,7 +214,7 @@ def check_identity(saved: dict[str, Any], mine: dict[str, Any], exactly: bool = 
         # As text: True is 1 in Python.
         if name not in saved or json.dumps(saved[name]) != json.dumps(mine.get(name)):
             raise SavedStateError(
-                f"the saved state has {told(name)} = {shown(saved.get(name))}; "
+                f"the saved state has {one_line(name)} = {brief(saved.get(name))}; "
                 f"this environment has {mine.get(name)!r}"
             )
 
@@ -231,7 +231,7 @@ def _header(text: bytes) -> dict[str, Any]:
     for name, kind in kinds.items():
         if type(header[name]) is not kind:
             raise SavedStateError(
-                f"the saved state has {name} = {shown(header[name])}; it must be of the type {kind.__name__}"
+                f"the saved state has {name} = {brief(header[name])}; it must be of the type {kind.__name__}"
             )
     _check_integers("lengths", tuple(header["lengths"]), len(_ARRAYS), 63)
     return header
@@ -244,5 +244,5 @@ def _check_integers(name: str, value: Any, count: int, bits: int) -> None:
         told = value[0] if right and count == 1 else value
         what = "an integer" if count == 1 else f"{count} integers"
         raise SavedStateError(
-            f"the saved state has {name} = {shown(told)}; it must be {what} from 0, below 2**{bits}"
+            f"the saved state has {name} = {brief(told)}; it must be {what} from 0, below 2**{bits}"
         )

@@ -12,13 +12,13 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.elements import are_numbers, bounds
 from pearl_marl.errors import SavedStateError
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import arrays
+from pearl_marl.golden.tracing.operations import word_range
+from pearl_marl.golden.tracing.trace import trace
 from pearl_marl.spec import MAX_CYCLES, EnvSpec
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import arrays
-from pearl_marl.tracing.operations import word_range
-from pearl_marl.tracing.trace import trace
+from pearl_marl.spec.elements import are_numbers, bounds
 
 Array = npt.NDArray[Any]
 

@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from pearl_marl.registry import get_spec
+from pearl_marl.envs import get_spec
 from pearl_marl.training.run import settings_for
 
 SEEDS = (0, 1, 2)

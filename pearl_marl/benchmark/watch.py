@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 from pearl_marl.benchmark.training import TrainingTask
+from pearl_marl.envs import get_spec
 from pearl_marl.evaluation.run import Evaluation
-from pearl_marl.registry import get_spec
 
 EVALUATED = 200
 """Agents whose first episodes are an evaluation, on our environment."""

@@ -18,12 +18,12 @@ from rich.markup import escape
 from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
+from pearl_marl.base.version import __version__
 from pearl_marl.cli import usage
 from pearl_marl.cli.common import error_console
 from pearl_marl.cli.interrupts import STATUS, interrupts
+from pearl_marl.envs import authors_mistake
 from pearl_marl.errors import PearlError
-from pearl_marl.registry import authors_mistake
-from pearl_marl.version import __version__
 
 COMMANDS = {
     "envs": "List the environments: spaces, widths, rewards, limits.",

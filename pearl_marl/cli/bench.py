@@ -27,12 +27,12 @@ from pearl_marl.benchmark.tables import (
     steps_table,
     training_table,
 )
-from pearl_marl.checks import MANY
+from pearl_marl.checks import MANY, checked_number
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console
+from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation.machine import machine
-from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
@@ -75,8 +75,7 @@ def steps(
     as_markdown: common.AsMarkdown = False,
 ) -> None:
     """Measure steps per second against EnvPool, Gymnasium's vector environments and the games' packages."""
-    if not 0 <= seconds <= MOST_SECONDS:
-        raise ArgumentError(f"--seconds is {seconds}; it must be a number from 0 to {MOST_SECONDS:,}")
+    checked_number("--seconds", seconds, 0, MOST_SECONDS)
     common.check_forms(as_json, as_markdown)
     if every:
         if env_id is not None or option:

@@ -9,9 +9,9 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
+from pearl_marl.base.files import claimed
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console
-from pearl_marl.files import claimed
 from pearl_marl.hardware import boards
 from pearl_marl.hardware.boards import BOARDS, Board, Placed
 

@@ -17,10 +17,10 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from pearl_marl.base.files import check_files, replace_file
 from pearl_marl.checks import MANY
+from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import ArgumentError
-from pearl_marl.files import check_files, replace_file
-from pearl_marl.registry import get_spec, names
 
 if TYPE_CHECKING:
     from rich.table import Table

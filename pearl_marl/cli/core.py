@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
+from pearl_marl.base.files import replace_file
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console, error_console
 from pearl_marl.compiler.cores import Core, generated_core
 from pearl_marl.compiler.targets import FAMILIES, Target
 from pearl_marl.errors import ArgumentError
-from pearl_marl.files import replace_file
 
 Clock = Annotated[
     float, typer.Option("--clock", metavar="MHZ", help="The clock rate that the pipeline is built for.")

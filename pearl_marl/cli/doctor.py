@@ -13,7 +13,7 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from pearl_marl.cache import cache_folder, is_kept
+from pearl_marl.base.cache import cache_folder, is_kept
 from pearl_marl.cli.common import AsJson, console, print_json
 from pearl_marl.devices import cluster
 from pearl_marl.errors import DeviceError
@@ -54,7 +54,7 @@ def _python() -> Check:
 
 def _native() -> Check:
     from pearl_marl.devices import BatchConfig, Native
-    from pearl_marl.registry import get_spec
+    from pearl_marl.envs import get_spec
 
     device = Native().open(BatchConfig(spec=get_spec(TRIED), n_envs=1))
     device.reset(seed=0)

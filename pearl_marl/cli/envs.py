@@ -12,8 +12,8 @@ from rich.table import Table
 
 from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.cli.common import AsJson, console, print_json
+from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import ArgumentError
-from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, snake_case, word_bits
 
 AsMarkdown = Annotated[

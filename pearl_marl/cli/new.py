@@ -13,11 +13,12 @@ from typing import Annotated, Any
 import typer
 from rich.markup import escape
 
+from pearl_marl.checks import checked_integer
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console, say
+from pearl_marl.envs import names
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware import elaboration
-from pearl_marl.registry import names
 from pearl_marl.spec import MAX_AGENTS, snake_case
 
 WORLD = "AGENTS = 2"
@@ -79,8 +80,7 @@ def command(
         return
     if option or rules:
         raise ArgumentError(f"{'--rules' if rules else '--option'} is about the original of --from: give one")
-    if not 1 <= agents <= MAX_AGENTS:
-        raise ArgumentError(f"--agents is {agents}; a world has 1 to {MAX_AGENTS}")
+    checked_integer("--agents", agents, 1, MAX_AGENTS)
     from pearl_marl.porting.package import filled, own_words
 
     words = {**own_words(name), WORLD: WORLD.replace("2", str(agents))}

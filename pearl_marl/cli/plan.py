@@ -10,6 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pearl_marl.benchmark.tables import duration, rate
+from pearl_marl.checks import checked_choice
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console
 from pearl_marl.errors import ArgumentError
@@ -67,8 +68,7 @@ def command(
     A prediction: clock cycles are counted, the host's part is measured here, the link's is as stated.
     """
     spec = common.spec_of(env_id, option)
-    if part not in (*PARTS, ANY):
-        raise ArgumentError(f"there is no part {part!r}; possible are {', '.join(PARTS)}, {ANY}")
+    checked_choice("--part", part, (*PARTS, ANY))
     taken = _link(link)
     file = f"plan_{spec.name}_{n_envs}.json"
     common.check_results(out, file)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import typer
 from rich.table import Table
 
-from pearl_marl.arrays import load_array
+from pearl_marl.base.arrays import load_array
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.batch.step import on_host
 from pearl_marl.benchmark.tables import duration, rate
@@ -68,7 +68,7 @@ def command(
     common.check_results(out, "run.json", *(["heat_map.png"] if spec.grid else []))
     if video is not None:
         common.check_file("--video", video)
-    given = None if actions is None else _given(actions, spec, n_agents, steps)
+    given = None if actions is None else _read_actions(actions, spec, n_agents, steps)
     heat_map = HeatMap(spec) if spec.grid else None
 
     stepping: list[float] = []
@@ -142,7 +142,7 @@ def _random(env: PearlParallelEnv, steps: int, seed: int) -> Iterator[npt.NDArra
         yield random_actions(env.spec, rng, env.batch_size, None if masks is None else on_host(masks))
 
 
-def _given(path: Path, spec: EnvSpec, n: int, steps: int) -> Iterator[npt.NDArray[Any]]:
+def _read_actions(path: Path, spec: EnvSpec, n: int, steps: int) -> Iterator[npt.NDArray[Any]]:
     needed = (steps, n, *(spec.action_space.shape or ()))
 
     def check(shape: tuple[int, ...], _: Any) -> None:

@@ -9,14 +9,15 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
+from pearl_marl.checks import checked_choice
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console, error_console
+from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import PARTS, Fit, confirm, largest_fit
 from pearl_marl.hardware.synthesis import PLACEMENTS, Family, Usage, synthesise
 from pearl_marl.memory_map import default_map
-from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec
 
 Sizes = Annotated[
@@ -132,10 +133,10 @@ def command(
 
 
 def _check_fit(fit: str | None, part: Family, confirmed: bool) -> None:
-    if fit is not None and fit not in PARTS:
-        raise ArgumentError(f"there is no part {fit!r}; possible are {', '.join(PARTS)}")
-    if fit is not None and part is not Family.XC7:
-        raise ArgumentError("--fit is for 7-series parts: leave --part at xc7")
+    if fit is not None:
+        checked_choice("--fit", fit, PARTS)
+        if part is not Family.XC7:
+            raise ArgumentError("--fit is for 7-series parts: leave --part at xc7")
     if confirmed and fit is None:
         raise ArgumentError("--confirm synthesises what --fit predicts: name a part with --fit")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import math
 import warnings
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,6 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from pearl_marl.checks import checked_number
 from pearl_marl.cli import common
 from pearl_marl.cli import quantize as integers
 from pearl_marl.cli.common import error_console
@@ -97,8 +97,8 @@ def command(
         near = difflib.get_close_matches(algo, ALGORITHMS, 1)
         hint = f"did you mean {near[0]!r}?" if near else f"possible are {', '.join(map(repr, ALGORITHMS))}"
         raise ArgumentError(f"--algo is {algo!r}; {hint}")
-    if goal is not None and not math.isfinite(goal):
-        raise ArgumentError(f"--goal is {goal}; it must be a finite number")
+    if goal is not None:
+        checked_number("--goal", goal)
     spec = common.spec_of(env_id, option)
     out = out or Path("out") / f"{spec.name}-{algo}"
     interrupts.advice = f": to go on, give the same command again, with the same --out {out}"

@@ -15,10 +15,10 @@ from rich.table import Table
 from pearl_marl.checks import MANY
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console, error_console
-from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices import Lockstep
+from pearl_marl.devices.replay import Replay
+from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
-from pearl_marl.registry import get_spec
 from pearl_marl.spec import MAX_CYCLES, EnvSpec
 from pearl_marl.verification import Run, replay, runs, verify
 

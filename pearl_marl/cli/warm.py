@@ -10,8 +10,8 @@ import typer
 
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console
+from pearl_marl.envs import names
 from pearl_marl.errors import ArgumentError
-from pearl_marl.registry import names
 
 SomeEnvs = Annotated[
     list[str] | None,
@@ -21,7 +21,7 @@ SomeEnvs = Annotated[
 
 def command(env_ids: SomeEnvs = None, option: common.Options = None, as_json: common.AsJson = False) -> None:
     """Compile ahead, for images and clusters: the kernels of some environments, or all and the trainers."""
-    from pearl_marl.cache import cache_folder, is_kept
+    from pearl_marl.base.cache import cache_folder, is_kept
     from pearl_marl.devices.warming import Warmed, warm_all
 
     if option and not env_ids:

@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from pearl_marl.compiler.gating import held
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import Node
+from pearl_marl.golden.tracing.trace import trace
 from pearl_marl.spec import TERMINATED, EnvSpec, Field, word_bits
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import Node
-from pearl_marl.tracing.trace import trace
 
 
 class Output(NamedTuple):
@@ -66,8 +66,8 @@ def core_graph(spec: EnvSpec) -> CoreGraph:
     offset = 0
     for agent in spec.views:
         observed = [node for view in spec.functions[2:] for node in trace(graph, view, after, *agent)]
-        outputs += _packed("obs_o", spec.seen, _narrowed(graph, observed, spec.seen), offset)
-        offset += word_bits(spec.seen)
+        outputs += _packed("obs_o", spec.agent_fields, _narrowed(graph, observed, spec.agent_fields), offset)
+        offset += word_bits(spec.agent_fields)
     outputs += _packed(
         "reward_o", spec.each_agent(replace(spec.reward, name="reward")), unseen[: spec.agents]
     )

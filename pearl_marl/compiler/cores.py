@@ -12,8 +12,8 @@ from pearl_marl.compiler.lowering import lowered
 from pearl_marl.compiler.scheduling import scheduled
 from pearl_marl.compiler.targets import Target
 from pearl_marl.compiler.verilog import system_verilog
+from pearl_marl.golden.tracing.nodes import in_order
 from pearl_marl.spec import EnvSpec, snake_case
-from pearl_marl.tracing.nodes import in_order
 
 BACKBONE = "pearl"
 """The first word of the name of every module and package around a core."""

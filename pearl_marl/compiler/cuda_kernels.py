@@ -17,12 +17,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pearl_marl.base.machine_code import Entries
 from pearl_marl.compiler import scalar_words
 from pearl_marl.compiler.cuda_source import cuda_rollout_source, cuda_source
 from pearl_marl.compiler.kernels import functions, kernel_name
 from pearl_marl.compiler.loading import fingerprint, load, with_callees
 from pearl_marl.golden import GoldenFunction
-from pearl_marl.machine_code import Entries
 from pearl_marl.spec import EnvSpec
 
 THREADS = 128

@@ -14,12 +14,12 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from gymnasium.spaces import Box
 
-from pearl_marl import rng
 from pearl_marl.batch import slot_memory
 from pearl_marl.compiler.flag_runs import cell_dtype
 from pearl_marl.compiler.straight_line import golden_functions, maskers, observers
-from pearl_marl.elements import action_counts
+from pearl_marl.golden import rng
 from pearl_marl.spec import EnvSpec, Field
+from pearl_marl.spec.elements import action_counts
 
 PREFIXES = {
     "at": "where the field's column begins",
@@ -357,7 +357,7 @@ class _Writer:
         """Return what makes the observations and masks of a slot."""
         lines: Lines = []
         for k in range(self.agents):
-            words = [f"observed_{f.name}" for f in self.spec.seen]
+            words = [f"observed_{f.name}" for f in self.spec.agent_fields]
             own, masks = words[: len(self.spec.observation)], words[len(self.spec.observation) :]
             lines.append(_call(observers(self.spec)[k], self.word, own))
             if masks:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import Node
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import Node
 
 MOST_BITS = 6
 """Bits of two words together up to which a division is a table."""

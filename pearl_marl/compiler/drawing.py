@@ -9,7 +9,7 @@ from html import escape
 from pearl_marl.compiler.core_graph import Output
 from pearl_marl.compiler.scheduling import Schedule
 from pearl_marl.compiler.widths import WIRES, width
-from pearl_marl.tracing.nodes import Node
+from pearl_marl.golden.tracing.nodes import Node
 
 BOX, GAP, ROW, MARGIN = 120, 34, 30, 46
 COLOURS = {"input": "#d7e8f7", "mul": "#f7d9c4", "sum": "#fbeecb", "table": "#e3dcf3", "choose": "#d9f0dd"}

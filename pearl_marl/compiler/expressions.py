@@ -16,8 +16,8 @@ from collections.abc import Sequence
 from pearl_marl.compiler.core_graph import Output
 from pearl_marl.compiler.scheduling import Schedule
 from pearl_marl.compiler.widths import WIRES, width
-from pearl_marl.tracing.nodes import Node
-from pearl_marl.tracing.operations import VALUES
+from pearl_marl.golden.tracing.nodes import Node
+from pearl_marl.golden.tracing.operations import VALUES
 
 KEYWORDS = frozenset(
     """

@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Literal
 
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import Node, in_order
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import Node, in_order
 
 Demand = Node | Literal["zero", "ones", "one"] | None
 """What a node has to be under hold: this word, 0, -1, 1 (as a flag), anything."""

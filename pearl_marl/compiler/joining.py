@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import Node, in_order
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import Node, in_order
 
 MOST_DIGITS = 64
 """Values up to which a quotient is a table."""

@@ -29,13 +29,13 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from pearl_marl import rng
 from pearl_marl.batch import slot_memory
 from pearl_marl.compiler import flag_runs
 from pearl_marl.compiler.kernel_ends import Ends
 from pearl_marl.compiler.llvm_functions import Code, Column, Compiled, Frame, Value
 from pearl_marl.compiler.llvm_words import ARITHMETIC
 from pearl_marl.compiler.straight_line import maskers, observers
+from pearl_marl.golden import rng
 from pearl_marl.spec import EnvSpec, Field
 
 BLOCK = 1024
@@ -134,7 +134,7 @@ class KernelLoops:
         self.lane = np.dtype(f"uint{8 * max(field.dtype.itemsize for field in spec.state)}")
         self.counter = numba_type(counter)
         self.runs = flag_runs.runs(spec)
-        self.crowded = self.agents * len(spec.seen) > CROWDED
+        self.crowded = self.agents * len(spec.agent_fields) > CROWDED
         # From about so many on, fewer where a start takes draws, SIMD code for all slots is faster. Not with
         # large observations, of which all would be made anew, nor those of agents that have ended.
         self.one_by_one = unpack is not None or self.agents > 1 or self.whole > LARGE
@@ -262,7 +262,7 @@ class KernelLoops:
         kernel |= dict(zip(RESULTS, results[: len(RESULTS)], strict=True))
         kernel |= self._views([results[0], *results[len(RESULTS) :]])
         lo, hi = kernel["lo"], kernel["hi"]
-        fields = list(enumerate(zip(kernel["words"], self.spec.seen, strict=True)))
+        fields = list(enumerate(zip(kernel["words"], self.spec.agent_fields, strict=True)))
         with self._scratch(code, "over", "end_bits", "changed", *self.state) as frame:
             frame = self._with_keys(code, frame, kernel, self.reset_draws)
             for f in self._blocks(code, frame, kernel, lo, hi):
@@ -321,7 +321,7 @@ class KernelLoops:
             "changed": (types.uint8, size),
             **{name: (numba_type(self.fields[k].dtype), size) for k, name in enumerate(self.state)},
             **{
-                f"run_{k}_{r}": (numba_type(self.spec.seen[run.word].dtype), size)
+                f"run_{k}_{r}": (numba_type(self.spec.agent_fields[run.word].dtype), size)
                 for k in range(self.agents)
                 for r, run in enumerate(self.runs)
             },
@@ -642,7 +642,7 @@ class KernelLoops:
                 blank: list[Any] = [None] * len(self.spec.observation)
                 words = [*(blank if only_masks else own), *self._allowed(code, state, k)]
                 for r, run in enumerate(self.runs):
-                    packed = words[run.word].to(numba_type(self.spec.seen[run.word].dtype))
+                    packed = words[run.word].to(numba_type(self.spec.agent_fields[run.word].dtype))
                     for bit, flag in enumerate(words[run.word + 1 : run.word + run.size], 1):
                         packed = packed | (flag.to(types.uint8) << bit)
                     getattr(f, f"run_{k}_{r}")[i] = packed
@@ -659,7 +659,7 @@ class KernelLoops:
                         to.write_flags(at, word, run.size)
                     else:
                         dtype = np.dtype(np.int8) if run.of_mask else self.dtype
-                        to[at] = element(code, word, self.spec.seen[run.word], dtype)
+                        to[at] = element(code, word, self.spec.agent_fields[run.word], dtype)
 
     def observe_slots(self, code: Code, f: Frame, agents: tuple[int, ...]) -> None:
         """Write what some agents observe, apart from masks."""
@@ -689,7 +689,9 @@ class KernelLoops:
         """Write what agents see, a row each, of words that come from elsewhere; no masks where ``alone``."""
         count = len(self.spec.observation)
         for i in code.range(f.m * (1 if alone else self.agents)):
-            words = [getattr(f, f"word_{k}")[i] for k in range(count if alone else len(self.spec.seen))]
+            words = [
+                getattr(f, f"word_{k}")[i] for k in range(count if alone else len(self.spec.agent_fields))
+            ]
             self._write_row(code, f, i, words[:count])
             self._write_masks(f, i, words[count:])
 

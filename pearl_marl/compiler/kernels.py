@@ -18,7 +18,8 @@ import llvmlite
 import numba
 import numpy as np
 
-from pearl_marl import object_code, rebinding, rng
+from pearl_marl.base import object_code
+from pearl_marl.base.machine_code import kept_code
 from pearl_marl.batch import slot_memory
 from pearl_marl.compiler import (
     flag_runs,
@@ -32,8 +33,7 @@ from pearl_marl.compiler import (
 from pearl_marl.compiler.kernel_loops import KERNELS, KernelLoops
 from pearl_marl.compiler.kernel_source import counter_of, kernel_source
 from pearl_marl.compiler.loading import fingerprint, load, with_callees
-from pearl_marl.golden import GoldenFunction
-from pearl_marl.machine_code import kept_code
+from pearl_marl.golden import GoldenFunction, rebinding, rng
 from pearl_marl.spec import EnvSpec
 
 # LLVM turns no loop that still has a call in it into SIMD code, and left to itself it keeps a long

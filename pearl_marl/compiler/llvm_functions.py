@@ -21,7 +21,7 @@ from numba import types
 from numba.core import cgutils as _cgutils
 from numba.extending import intrinsic
 
-from pearl_marl import object_code
+from pearl_marl.base import object_code
 from pearl_marl.compiler.llvm_loops import Writer
 from pearl_marl.compiler.llvm_words import (
     ARITHMETIC,
@@ -33,7 +33,7 @@ from pearl_marl.compiler.llvm_words import (
     Maker,
     arrays,
 )
-from pearl_marl.rebinding import rebound
+from pearl_marl.golden.rebinding import rebound
 
 cgutils: Any = _cgutils
 """Numba's, which has no types."""
@@ -66,7 +66,7 @@ class Value:
         self.code, self.type = code, type_
         self._value, self._again, self._uncounted = value, again, loads
         self._loop = code.loops[-1] if code.loops else None
-        self._part = self._loop.part if self._loop else 0
+        self._part_number = self._loop.part_number if self._loop else 0
         self._kept: int | None = None
         self.counts = False
         """Whether it is a loop's index itself."""
@@ -83,15 +83,19 @@ class Value:
     def uncounted(self) -> Any:
         """Return the value for a cast, which does not count what it loads."""
         loop = self._loop
-        if loop is not None and self._part < loop.part and not isinstance(self._value, ir.Constant):
+        if (
+            loop is not None
+            and self._part_number < loop.part_number
+            and not isinstance(self._value, ir.Constant)
+        ):
             value = None if self._again is None else self._again()
             if value is None:
                 if self._kept is None:
-                    self._kept = loop.keep(self._value, self._part)
+                    self._kept = loop.keep(self._value, self._part_number)
                 value = loop.kept(self._kept, self._value.type)
             if loop is not self.code.loops[-1]:  # within another loop: that value is not there behind it
                 return value
-            self._value, self._part = value, loop.part
+            self._value, self._part_number = value, loop.part_number
         return self._value
 
     def __bool__(self) -> bool:

@@ -73,7 +73,7 @@ class Loop:
         self._begin()
 
     @property
-    def part(self) -> int:
+    def part_number(self) -> int:
         """The number of the part that is being written."""
         return len(self._indices) - 1
 
@@ -107,8 +107,8 @@ class Loop:
 
     def _end(self, last: bool = False) -> None:
         writer = self._writer
-        plain = self.operations < WORK * self.scattered or self.part >= PARTS
-        if plain and (self.part or not last):
+        plain = self.operations < WORK * self.scattered or self.part_number >= PARTS
+        if plain and (self.part_number or not last):
             # It does nothing; but no loop with it in it becomes SIMD code.
             writer.asm(ir.FunctionType(ir.VoidType(), []), "", "", [], True)
         # LLVM is to know that the sign never changes.
@@ -117,7 +117,9 @@ class Loop:
         if self._outer is None and not last:
             self._surround()
         first = self._start if self._outer is None else self._first
-        self.index.add_incoming(first, self._came_from if self.part or self._outer is None else self._inside)
+        self.index.add_incoming(
+            first, self._came_from if self.part_number or self._outer is None else self._inside
+        )
         writer.position_at_end(self._after)
 
     def _surround(self) -> None:
@@ -168,16 +170,16 @@ class Loop:
             self._room = writer.memory.allocate(writer, self._size)
             self._entry = writer.block  # a check of what was allocated has branches
         writer.position_before(self._ends[part])
-        writer.store(value, self._place(at, self._indices[part], value.type))
+        writer.store(value, self._address(at, self._indices[part], value.type))
         writer.position_at_end(here)
         return at
 
     def kept(self, at: int, type_: Any) -> Any:
         """Return the value that an earlier part has kept there."""
         self.accesses += 1
-        return self._writer.load(self._place(at, self.index, type_))
+        return self._writer.load(self._address(at, self.index, type_))
 
-    def _place(self, at: int, index: Any, type_: Any) -> Any:
+    def _address(self, at: int, index: Any, type_: Any) -> Any:
         writer = self._writer
         first = writer.bitcast(writer.gep(self._room, [INDEX(at)]), type_.as_pointer())
         return writer.gep(first, [writer.sub(index, self._first)])

@@ -18,11 +18,11 @@ from typing import Any
 import numba
 import numpy as np
 
-from pearl_marl.cache import cache_folder
-from pearl_marl.files import write_whole
+from pearl_marl.base.cache import cache_folder
+from pearl_marl.base.files import write_whole
+from pearl_marl.base.machine_code import kept_code
+from pearl_marl.base.source_lines import is_of_a_library
 from pearl_marl.golden import GoldenFunction
-from pearl_marl.machine_code import kept_code
-from pearl_marl.source_lines import is_of_a_library
 
 
 def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:

@@ -18,9 +18,9 @@ from pearl_marl.compiler.dividing import divided
 from pearl_marl.compiler.joining import MOST_DIGITS, digits_joined, rounding_joined
 from pearl_marl.compiler.targets import Target
 from pearl_marl.compiler.widths import used_bits, width
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import Node, in_order
-from pearl_marl.tracing.operations import VALUES, bits_of
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import Node, in_order
+from pearl_marl.golden.tracing.operations import VALUES, bits_of
 
 CHEAP = 24
 """Bits to be added up to which a product takes no multiplier."""

@@ -18,7 +18,7 @@ from pearl_marl.compiler.core_graph import Output
 from pearl_marl.compiler.targets import Target
 from pearl_marl.compiler.widths import WIRES, used_bits, width
 from pearl_marl.errors import DeviceError
-from pearl_marl.tracing.nodes import Node, in_order
+from pearl_marl.golden.tracing.nodes import Node, in_order
 
 SHORT = 2
 """Registers in a row that never become a shift register."""

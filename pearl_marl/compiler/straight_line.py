@@ -18,11 +18,11 @@ from pearl_marl.compiler import scalar_words
 from pearl_marl.compiler.kernel_bits import kernel_bits
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import Node, in_order
+from pearl_marl.golden.tracing.operations import bits_of, wrapped
+from pearl_marl.golden.tracing.trace import location, trace
 from pearl_marl.spec import TERMINATED, EnvSpec, Field
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import Node, in_order
-from pearl_marl.tracing.operations import bits_of, wrapped
-from pearl_marl.tracing.trace import location, trace
 
 WIDEST = 64
 """Bits of the widest word that a kernel computes with."""

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.tracing.nodes import Node
+from pearl_marl.golden.tracing.nodes import Node
 
 
 @dataclass(frozen=True, slots=True)

@@ -102,7 +102,7 @@ def system_verilog(
         latency=schedule.latency,
         state_bits=word_bits(spec.state),
         action_bits=spec.agents * word_bits(spec.action_fields),
-        obs_bits=spec.agents * word_bits(spec.seen),
+        obs_bits=spec.agents * word_bits(spec.agent_fields),
         reward_bits=spec.agents * spec.reward.bits,
         actions=_action_type(spec),
         action_struct=ACTION_STRUCT.format(struct=_struct(spec.action_fields))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from pearl_marl.tracing.nodes import Node
+from pearl_marl.golden.tracing.nodes import Node
 
 WIRES = frozenset({"wrap", "left", "right", "join", "mask", "not", "invert"})
 """Operations that take no logic: which wire goes where, and inversions that tables take in."""

@@ -27,20 +27,20 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import rng
+from pearl_marl.base.deferral import uninterrupted
 from pearl_marl.batch import rewards as reward_tables
 from pearl_marl.batch.actions import ActionRules, encode, refuse_masked, room_for_words
 from pearl_marl.batch.config import BatchConfig, checked_mask
-from pearl_marl.batch.results import Layout, Recycler
+from pearl_marl.batch.results import Recycler, ResultLayout
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import Array, BatchStep, Observed, on_host
-from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices import rollouts
 from pearl_marl.devices.recovery import CheckpointLog
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError, OrderError, renamed
+from pearl_marl.golden import rng
 from pearl_marl.policies.device_policy import DevicePolicy
 
 CACHE_BYTES = 1 << 18
@@ -87,7 +87,7 @@ class Device(ABC):
     config
         The batch that it was opened for.
     seed, tick
-        The position in the random numbers: see :mod:`pearl_marl.rng`.
+        The position in the random numbers: see :mod:`pearl_marl.golden.rng`.
     reward_table
         The reward of every word of the reward field.
     action_masks
@@ -163,7 +163,7 @@ class Device(ABC):
         self.in_episode = np.ones(config.n_agents, np.bool_)
         # Of one agent without masks nothing has to be remembered from one step to the next.
         self._remembers = config.spec.agents > 1 or bool(config.spec.mask_fields)
-        large = config.copy and self._remembers and Layout(config).size > CACHE_BYTES
+        large = config.copy and self._remembers and ResultLayout(config).size > CACHE_BYTES
         self._copies = Recycler() if large else None
         self._thread = Threads(1, f"pearl-{self.name}")
         # Every step asks for these two, and finds them faster here than on the class.
@@ -692,15 +692,6 @@ class Device(ABC):
     @abstractmethod
     def _close(self) -> None:
         """Release everything; called once."""
-
-
-def count_or_none(name: str, value: Any) -> int | None:
-    """Return a setting that is a positive integer or ``None``; refuse what is neither."""
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise ArgumentError(f"{name} is {value!r}; it must be a positive integer or None")
-    return int(value)
 
 
 def _unopened(setting: Any) -> Any:

@@ -15,7 +15,7 @@ import socket
 from collections.abc import Mapping
 from typing import Any
 
-from pearl_marl import version
+from pearl_marl.base import version
 from pearl_marl.errors import ArgumentError, DeviceError, PearlError
 
 START_SECONDS = 120.0
@@ -117,7 +117,7 @@ def start_actor(cls: type, *args: Any, resources: Mapping[str, float] | None = N
     def facts(_: object) -> tuple[str, str, str]:  # inside, so that it travels as code, not as a name
         import platform
 
-        from pearl_marl import version
+        from pearl_marl.base import version
 
         return platform.node(), version.__version__, platform.python_version()
 

@@ -20,7 +20,6 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import rng
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.rollout import Rollout
@@ -31,6 +30,7 @@ from pearl_marl.devices.base import Device
 from pearl_marl.devices.link_rollout import LinkRollout
 from pearl_marl.devices.transport import STAGES, Protocol, Settings, Transport
 from pearl_marl.errors import DeviceError
+from pearl_marl.golden import rng
 from pearl_marl.memory_map import ELAPSED_BITS, Doorbell, MemoryMap, Mode
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.spec import Field

@@ -21,17 +21,18 @@ import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import rng
 from pearl_marl.batch.actions import limits
 from pearl_marl.batch.config import BatchConfig
-from pearl_marl.batch.results import Layout, ResultArrays
+from pearl_marl.batch.results import ResultArrays, ResultLayout
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.slot_memory import SlotMemory, size
 from pearl_marl.batch.step import Array, BatchStep, Observed, on_host
+from pearl_marl.checks import checked_choice
 from pearl_marl.compiler.cuda_kernels import THREADS, compile_cuda_kernels, compile_cuda_rollout, simulated
 from pearl_marl.devices.base import Device
 from pearl_marl.devices.rollouts import Sums
-from pearl_marl.errors import ActionError, ArgumentError, DeviceError
+from pearl_marl.errors import ActionError, DeviceError
+from pearl_marl.golden import rng
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.integer_network import IntegerNetwork
 from pearl_marl.policies.integer_threads import Room, act, room_sizes, thread_network
@@ -69,9 +70,7 @@ class Cuda(Device):
     name = "cuda"
 
     def __init__(self, results: str = "numpy") -> None:
-        if results not in ("numpy", "torch"):
-            raise ArgumentError(f"results is {results!r}; possible are 'numpy' and 'torch'")
-        self.results = results
+        self.results = checked_choice("results", results, ("numpy", "torch"))
         self.tensors = results == "torch"
 
     def encoded(self, actions: Any) -> Any:
@@ -131,7 +130,7 @@ class Cuda(Device):
                 # All but the final observations, where those have bytes of their own.
                 self._first_to_host = self._block[:split]
             else:
-                self._result_layout = Layout(config)
+                self._result_layout = ResultLayout(config)
                 self._dtypes = [getattr(self._torch, str(dtype)) for dtype in self._result_layout.dtypes]
                 self._block = None if config.copy else self._new_block()
                 self._tensors = None if config.copy else self._in_tensors(self._block)
@@ -209,7 +208,7 @@ class Cuda(Device):
             return super()._rollout(policy, steps, record, episodes)
         elapsed = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).elapsed
         config = replace(self.config, spec=self.config.spec.in_elements)
-        agents, n, layout = config.spec.agents, config.n_envs, Layout(config)
+        agents, n, layout = config.spec.agents, config.n_envs, ResultLayout(config)
         sums: Any = Sums.of(elapsed.repeat(agents), on_host(self.in_episode), episodes)
         nobody, position = np.zeros(n, np.uint8), (*self.seed, rng.signed(self.tick), config.first_slot)
         with _failures():
@@ -378,7 +377,7 @@ def memory_needed(config: BatchConfig, results: str = "numpy") -> int:
     # Actions, and a reset's mask.
     spec = config.spec
     others = config.n_agents * len(spec.action_fields) * spec.action_dtype.itemsize + config.n_envs
-    return slots + stored + blocks * Layout(config).size + others
+    return slots + stored + blocks * ResultLayout(config).size + others
 
 
 def _check_memory(gpu: Any, config: BatchConfig, results: str) -> None:

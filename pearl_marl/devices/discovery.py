@@ -30,8 +30,8 @@ def boards() -> list[FoundBoard]:
         match = re.fullmatch(r"xdma(\d+)_h2c_0", node.name)
         pci = node / "device"
         with contextlib.suppress(OSError):
-            if match and (vendor := _told(pci / "vendor")) == XILINX:
-                device = _told(pci / "device")
+            if match and (vendor := _text_of(pci / "vendor")) == XILINX:
+                device = _text_of(pci / "device")
                 found.append(FoundBoard(int(match[1]), f"{vendor[2:]}:{device[2:]}", pci.resolve().name))
     return sorted(found)
 
@@ -41,10 +41,10 @@ def boards_without_driver() -> list[str]:
     slots = []
     for device in (SYS / "bus" / "pci" / "devices").glob("*"):
         with contextlib.suppress(OSError):
-            if _told(device / "vendor") == XILINX and not (device / "driver").exists():
+            if _text_of(device / "vendor") == XILINX and not (device / "driver").exists():
                 slots.append(device.name)
     return sorted(slots)
 
 
-def _told(file: Path) -> str:
+def _text_of(file: Path) -> str:
     return file.read_text("utf-8", errors="replace").strip()

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import MAGIC, PROTOCOL_VERSION, Control, MemoryMap, stream_bits
-from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, word_bits
 
 _IDENTITY = tuple(word for word in Control if word < Control.SEED_0)

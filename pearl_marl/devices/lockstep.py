@@ -10,17 +10,18 @@ import numpy.typing as npt
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.step import Array, BatchStep, Observed
-from pearl_marl.comparison.divergence import (
-    Comparison,
+from pearl_marl.checks import checked_count_or_none
+from pearl_marl.devices.base import Device, Phase
+from pearl_marl.devices.by_name import make_host_device
+from pearl_marl.devices.divergence import (
     Divergence,
+    WordComparison,
     result_words,
     seen_words,
     state_of,
     state_words,
 )
-from pearl_marl.comparison.replay import Replay
-from pearl_marl.devices.base import Device, Phase, count_or_none
-from pearl_marl.devices.by_name import make_host_device
+from pearl_marl.devices.replay import Replay
 from pearl_marl.errors import ArgumentError, LockstepError, PearlError
 from pearl_marl.spec import EnvSpec
 
@@ -58,7 +59,7 @@ class Lockstep(Device):
     def __init__(
         self, device: str | Device, reference: str | Device = "native", state_every: int | None = None
     ) -> None:
-        self._asked = count_or_none("state_every", state_every)
+        self._asked = checked_count_or_none("state_every", state_every)
         self.device, self.reference = make_host_device(device), make_host_device(reference)
         if self.device is self.reference:
             raise ArgumentError("a device is not its own reference: lockstep takes two")
@@ -116,7 +117,7 @@ class Lockstep(Device):
         ours, theirs = self._both(
             lambda device: Observed(begin(device), device.action_masks, device.in_episode)
         )
-        found = Comparison()
+        found = WordComparison()
         found.add(seen_words(self.config.spec, ours, theirs))
         self._add_states(found)
         self.words_compared += found.words
@@ -130,7 +131,7 @@ class Lockstep(Device):
     def _step(self, actions: Array) -> BatchStep:
         ours, theirs = self._both(lambda device: device.step_words(actions))
         self._taken.append(actions.copy())
-        found = Comparison()
+        found = WordComparison()
         found.add(result_words(self.config.spec, ours, theirs))
         if found or len(self._taken) >= self._every:
             self._add_states(found)
@@ -165,7 +166,7 @@ class Lockstep(Device):
             self._agreed()
 
     def _compare_states(self) -> None:
-        found = Comparison()
+        found = WordComparison()
         self._add_states(found)
         self.words_compared += found.words
         if found:
@@ -176,7 +177,7 @@ class Lockstep(Device):
         self._since = self.reference.snapshot()
         self._taken = []
 
-    def _add_states(self, found: Comparison) -> None:
+    def _add_states(self, found: WordComparison) -> None:
         saved = self.device.snapshot(), self.reference.snapshot()
         found.add(state_words(self.config.spec, self.config.n_envs, *saved))
 
@@ -190,7 +191,7 @@ class Lockstep(Device):
                 self.device.restore(self.reference.snapshot())
             raise
 
-    def _diverged(self, found: Comparison, undo: int) -> NoReturn:
+    def _diverged(self, found: WordComparison, undo: int) -> NoReturn:
         """Find the first step that differs, take back the last ``undo`` steps, and raise."""
         since, taken = self._since, self._taken
         assert since is not None
@@ -211,7 +212,7 @@ class Lockstep(Device):
             raise self._error("snapshot", found, since, tick=since.tick)
         raise self._error("step", found, before, tick=before.tick, actions=taken[at])
 
-    def _search(self, since: SavedState, taken: list[Array]) -> tuple[int, Comparison] | None:
+    def _search(self, since: SavedState, taken: list[Array]) -> tuple[int, WordComparison] | None:
         """Take steps again, comparing the states after each; return the first that differs, if any does.
 
         A device that does not make the same mistake twice may differ in none.
@@ -221,7 +222,7 @@ class Lockstep(Device):
         for i, actions in enumerate(taken):
             for device in (self.device, self.reference):
                 device.step_words(actions)
-            found = Comparison()
+            found = WordComparison()
             self._add_states(found)
             if found:
                 return i, found
@@ -232,7 +233,7 @@ class Lockstep(Device):
         self._agreed()
 
     def _error(
-        self, call: str, found: Comparison, before: SavedState | None, tick: int, **arguments: Any
+        self, call: str, found: WordComparison, before: SavedState | None, tick: int, **arguments: Any
     ) -> LockstepError:
         spec, n = self.config.spec, self.config.n_envs
         i, count, differences = found.first()
@@ -247,14 +248,14 @@ class Lockstep(Device):
             slots=count,
             differences=differences,
             state_before=None if before is None else state_of(spec, n, before, i),
-            action=None if actions is None else _told(spec, actions, i),
+            action=None if actions is None else _action_of(spec, actions, i),
         )
         return LockstepError(
             divergence, Replay(config=self.config, divergence=divergence, before=before, **arguments)
         )
 
 
-def _told(spec: EnvSpec, actions: Array, slot: int) -> float | list[float]:
+def _action_of(spec: EnvSpec, actions: Array, slot: int) -> float | list[float]:
     """Return what a slot was told to do: a list where it has several agents, or actions several fields."""
     words = actions[slot * spec.agents : (slot + 1) * spec.agents].ravel()
     told = [field.value(word) for field, word in zip(spec.agents * spec.action_fields, words, strict=True)]

@@ -14,21 +14,22 @@ import numpy.typing as npt
 from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import rng
+from pearl_marl.base.deferral import completed, uninterrupted
 from pearl_marl.batch.actions import are_words, room_for_words
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.slot_memory import SlotMemory, aligned_bytes, counter_dtype
 from pearl_marl.batch.step import Array, BatchStep, Observed
+from pearl_marl.checks import checked_count_or_none
 from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import compile_kernels
-from pearl_marl.deferral import completed, uninterrupted
 from pearl_marl.devices import native_rollout
-from pearl_marl.devices.base import Device, Phase, count_or_none
+from pearl_marl.devices.base import Device, Phase
 from pearl_marl.devices.rollouts import Record, Sums
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ActionError
+from pearl_marl.golden import rng
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.integer_loops import Prepared, prepared
 from pearl_marl.policies.integer_network import IntegerNetwork
@@ -64,7 +65,7 @@ class Native(Device):
     name = "native"
 
     def __init__(self, threads: int | None = None) -> None:
-        self._threads = count_or_none("threads", threads) or 1
+        self._threads = checked_count_or_none("threads", threads) or 1
         self._tuning = threads is None and _cores() > 1
         self._recent: list[float] = []
         self._alone = 0.0
@@ -217,7 +218,7 @@ class Native(Device):
         while done < steps:
             some = min(some, steps - done)
             began = time.perf_counter()
-            self._run_rollout(kernel, network, actions, sums, kept.part(done, done + some), some)
+            self._run_rollout(kernel, network, actions, sums, kept.between(done, done + some), some)
             done += some
             seconds = time.perf_counter() - began
             # Between two parts Ctrl-C has its effect.

@@ -11,15 +11,15 @@ from typing import Any
 import numba
 import numpy as np
 
-from pearl_marl import rng
+from pearl_marl.base.machine_code import kept_code
 from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import Kernels
 from pearl_marl.compiler.loading import load, with_callees
-from pearl_marl.machine_code import kept_code
+from pearl_marl.golden import rng
+from pearl_marl.golden.rng import CHAIN_A, CHAIN_B
 from pearl_marl.policies import device_policy, integer_loops, integer_network
 from pearl_marl.policies.device_policy import FIRST_DRAW
 from pearl_marl.policies.integer_loops import compiled_act
-from pearl_marl.rng import CHAIN_A, CHAIN_B
 
 TICK, SEED_0, SEED_1, FIRST_SLOT, NEXT_STEP = map(
     STEP_ARGUMENTS.index, ("tick", "seed_0", "seed_1", "first_slot", "next_step")

@@ -16,10 +16,10 @@ from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.step import Array, BatchStep, Observed
-from pearl_marl.checks import checked_flag, checked_integer
+from pearl_marl.checks import checked_count_or_none, checked_flag, checked_integer
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.device_policy import Choice, DevicePolicy, policy_draws
+from pearl_marl.policies.device_policy import ActionChoice, DevicePolicy, policy_draws
 from pearl_marl.spec import EnvSpec
 
 
@@ -110,7 +110,7 @@ class Record(NamedTuple):
             np.empty((*rows, logits), np.int32),
         )
 
-    def part(self, start: int, stop: int) -> Record:
+    def between(self, start: int, stop: int) -> Record:
         """Return some of the steps, in the same memory."""
         return Record(*(array[start:stop] for array in self))
 
@@ -144,7 +144,7 @@ def actions_of(spec: EnvSpec, words: Array) -> Array:
 
 def chosen(
     config: BatchConfig, policy: DevicePolicy, observed: Observed, seed: tuple[int, int], tick: int
-) -> Choice:
+) -> ActionChoice:
     """Return what a policy chooses for all agents at a tick, of elements and masks that they are shown."""
     agents = config.spec.agents
     slots = np.repeat(config.first_slot + np.arange(config.n_envs), agents)
@@ -167,8 +167,7 @@ def check(config: BatchConfig, policy: object, steps: Any, record: object, episo
                 f"the policy is for {policy.spec.name} with the {what} {theirs}; here it is {own}"
             )
     checked_integer("steps", steps)
-    if episodes is not None:
-        checked_integer("episodes", episodes, note=" or None")
+    checked_count_or_none("episodes", episodes)
     checked_flag("record", record)
     if record:
         seen = spec.in_elements

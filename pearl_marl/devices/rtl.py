@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import numpy as np
-
 from pearl_marl.batch.config import BatchConfig
+from pearl_marl.checks import checked_choice, checked_count_or_none, checked_flag
 from pearl_marl.devices.comm_bram import CommBram
 from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.devices.simulator.simulation import Simulation
@@ -17,12 +16,6 @@ from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import Engine, MemoryMap
 
 PATHS = ("backdoor", "axi")
-
-
-def check_path(path: object) -> None:
-    """Refuse what is none of :data:`PATHS`."""
-    if path not in PATHS:
-        raise ArgumentError(f"path is {path!r}; possible are {', '.join(map(repr, PATHS))}")
 
 
 class Rtl(CommBram):
@@ -62,17 +55,13 @@ class Rtl(CommBram):
         pipelined: bool = True,
         engine: Engine | None = None,
     ) -> None:
-        for name, value in (("pe_num", pe_num), ("data_wl", data_wl)):
-            if value is not None and (isinstance(value, bool) or not isinstance(value, (int, np.integer))):
-                raise ArgumentError(f"{name} is {value!r}; it must be an integer or None")
-        check_path(path)
-        if not isinstance(pipelined, bool):
-            raise ArgumentError(f"pipelined is {pipelined!r}; it must be True or False")
+        checked_choice("path", path, PATHS)
         self._trace = os.fspath(trace) if isinstance(trace, os.PathLike) else trace
         if self._trace is not None and not (isinstance(self._trace, str) and self._trace.isascii()):
             raise ArgumentError(f"trace is {trace!r}; it must be a file name in ASCII")
-        self._pe_num, self._data_wl, self._path = pe_num, data_wl, path
-        self._pipelined, self._engine = pipelined, engine
+        self._pe_num = checked_count_or_none("pe_num", pe_num)
+        self._data_wl = checked_count_or_none("data_wl", data_wl)
+        self._path, self._pipelined, self._engine = path, checked_flag("pipelined", pipelined), engine
 
     @property
     def clock(self) -> int:
@@ -90,8 +79,7 @@ class Rtl(CommBram):
         return self._simulation.peek(signal)
 
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
-        pe_num, data_wl = (None if value is None else int(value) for value in (self._pe_num, self._data_wl))
-        build = Build.of(config.spec, config.n_envs, pe_num, data_wl, self._engine)
+        build = Build.of(config.spec, config.n_envs, self._pe_num, self._data_wl, self._engine)
         if self._trace is not None:  # before a model is compiled, which takes a minute
             try:
                 Path(self._trace).touch()

@@ -25,7 +25,7 @@ import zlib
 import numpy as np
 
 from pearl_marl.batch.config import BatchConfig
-from pearl_marl.devices.base import count_or_none
+from pearl_marl.checks import checked_count_or_none
 from pearl_marl.devices.comm_bram import CommBram
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.transport import Exchange, Transport, word
@@ -183,7 +183,7 @@ class Serial(CommBram):
         timeout: float = 1.0,
         checkpoint_every: int | None = CHECKPOINT_EVERY,
     ) -> None:
-        self.checkpoint_every = count_or_none("checkpoint_every", checkpoint_every)
+        self.checkpoint_every = checked_count_or_none("checkpoint_every", checkpoint_every)
         self._port, self._timeout = port, timeout
 
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:

@@ -36,12 +36,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.devices.rtl import check_path
+from pearl_marl.base.files import open_lock
+from pearl_marl.checks import checked_choice
+from pearl_marl.devices.rtl import PATHS
 from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.devices.xdma_transport import SERVER_LOCK
 from pearl_marl.errors import DeviceError
-from pearl_marl.files import open_lock
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import Control, Doorbell
 from pearl_marl.spec import EnvSpec
@@ -91,7 +92,7 @@ class ServedBoard:
         data_wl: int | None = None,
         path: str = "backdoor",
     ) -> None:
-        check_path(path)
+        checked_choice("path", path, PATHS)
         build = Build.of(spec, n_envs, pe_num, data_wl)
         self.spec, self.layout = build
         self.steps = 0

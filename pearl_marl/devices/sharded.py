@@ -25,7 +25,8 @@ from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.step import Array, BatchStep, Observed
-from pearl_marl.devices.base import Device, Phase, count_or_none
+from pearl_marl.checks import checked_count_or_none
+from pearl_marl.devices.base import Device, Phase
 from pearl_marl.devices.by_name import make_distinct
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.threads import Threads
@@ -59,7 +60,7 @@ class Sharded(Device):
         sizes: Sequence[int] | None = None,
         checkpoint_every: int | None = CHECKPOINT_EVERY,
     ) -> None:
-        self.checkpoint_every = count_or_none("checkpoint_every", checkpoint_every)
+        self.checkpoint_every = checked_count_or_none("checkpoint_every", checkpoint_every)
         self.parts = make_distinct("parts", parts, "each takes up one share of slots")
         if sizes is not None and not _are_sizes(sizes, len(self.parts)):
             raise ArgumentError(f"sizes is {sizes!r}; it must be {len(self.parts)} positive integers")

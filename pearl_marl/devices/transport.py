@@ -190,13 +190,13 @@ class Protocol:
         # What is written of them: from where on, with a reset mask and without.
         starts = write_from, layout["actions"].offset
         self._with_mask, self._without = ((start, self.written[start - write_from : -8]) for start in starts)
-        self.observations = [np.empty(agents, field.dtype) for field in spec.seen]
+        self.observations = [np.empty(agents, field.dtype) for field in spec.agent_fields]
         self.rewards = np.empty(agents, spec.reward.dtype)
         self.end_field = Field("end_bits", ter_bits(spec))
         self.end_bits = np.empty(n, self.end_field.dtype)
         streams = (stream(self.answer, read_from, name) for name in ("observations", "rewards", "ters"))
         columns = (self.observations, [self.rewards], [self.end_bits])
-        fields = (spec.seen, (spec.reward,), (self.end_field,))
+        fields = (spec.agent_fields, (spec.reward,), (self.end_field,))
         self._results = [
             (source, bits, column, stride, offset)
             for source, words, of in zip(streams, columns, fields, strict=True)

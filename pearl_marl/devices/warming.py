@@ -17,9 +17,9 @@ from numba.core import event
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.batch.config import BatchConfig
+from pearl_marl.compiler.packing import FORMS, observed_as
 from pearl_marl.devices.native import Native
-from pearl_marl.packing import FORMS, observed_as
-from pearl_marl.registry import get_spec
+from pearl_marl.envs import get_spec
 
 
 class Warmed(NamedTuple):

@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from pearl_marl.batch.config import BatchConfig
-from pearl_marl.devices.base import count_or_none
+from pearl_marl.checks import checked_choice, checked_count_or_none, checked_number
 from pearl_marl.devices.comm_bram import CommBram
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.transport import Transport
@@ -52,20 +52,15 @@ class Xdma(CommBram):
         timeout: float = 10.0,
         checkpoint_every: int | None = CHECKPOINT_EVERY,
     ) -> None:
-        self.checkpoint_every = count_or_none("checkpoint_every", checkpoint_every)
+        self.checkpoint_every = checked_count_or_none("checkpoint_every", checkpoint_every)
         if isinstance(board, (str, os.PathLike)):
             self.board: int | str = os.fspath(board)
         elif isinstance(board, (int, np.integer)) and not isinstance(board, bool) and board >= 0:
             self.board = int(board)
         else:
             raise ArgumentError(f"board is {board!r}; it must be a number from 0 on, or a folder")
-        if completion not in (None, *COMPLETIONS):
-            raise ArgumentError(
-                f"completion is {completion!r}; possible are {', '.join(map(repr, COMPLETIONS))} and None"
-            )
-        if not isinstance(timeout, (int, float)) or isinstance(timeout, bool) or not 0 < timeout < 1e6:
-            raise ArgumentError(f"timeout is {timeout!r}; it must be a positive number of seconds")
-        self._completion, self.patience = completion, float(timeout)
+        self._completion = checked_choice("completion", completion, (*COMPLETIONS, None))
+        self.patience = checked_number("timeout", timeout, above=0, below=1e6)
 
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
         transport = self.transport_type(self.board, self._completion, self.patience)

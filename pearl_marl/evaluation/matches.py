@@ -10,12 +10,13 @@ import numpy.typing as npt
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.batch.step import BatchStep
+from pearl_marl.checks import checked_integer
 from pearl_marl.devices import Device
 from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation.run import Evaluation, acting, interval
+from pearl_marl.golden.rng import checked_seed
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.loading import Policy
-from pearl_marl.rng import checked_seed
 from pearl_marl.spec import EnvSpec
 
 Array = npt.NDArray[Any]
@@ -58,11 +59,9 @@ class Match(Evaluation):
     ) -> None:
         if openings is None:
             openings = OPENINGS if spec.turns else 0
-        if openings < 0:
-            raise ArgumentError(f"openings is {openings}; it must be at least 0")
         if spec.agents < 2:
             raise ArgumentError(f"{spec.name} has one agent in a world, so policies cannot play each other")
-        self._openings = openings
+        self._openings = checked_integer("openings", openings, 0)
         self.seats = _seats(n_agents, spec.agents)
 
         rng = np.random.default_rng(checked_seed(seed))

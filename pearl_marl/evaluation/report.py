@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from pearl_marl.base.files import replace_file
 from pearl_marl.evaluation.run import Evaluation
-from pearl_marl.files import replace_file
 from pearl_marl.rendering import new_figure
 
 _PAGE = Template("""<!DOCTYPE html>

@@ -19,14 +19,14 @@ import numpy.typing as npt
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory, memory_of_machine
 from pearl_marl.batch.step import BatchStep, on_host
+from pearl_marl.checks import checked_count_or_none, checked_function
 from pearl_marl.devices import BatchConfig, Device, make_device, rollouts
-from pearl_marl.devices.base import count_or_none
 from pearl_marl.devices.transport import STAGES
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.evaluation.episodes import RunningEpisodes
+from pearl_marl.golden.rng import checked_seed
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.loading import Policy
-from pearl_marl.rng import checked_seed
 from pearl_marl.spec import MAX_CYCLES, EnvSpec, check_spec
 
 LIMIT = 1000
@@ -88,10 +88,10 @@ class Evaluation:
         max_cycles: int | None = None,
     ) -> None:
         check_spec(spec)
-        if not (callable(policy) or isinstance(policy, DevicePolicy)):
-            raise ArgumentError(f"policy is {policy!r}; it must be a function, as load_policy returns")
+        if not isinstance(policy, DevicePolicy):
+            checked_function("policy", policy)
         most = memory_of_machine() // EPISODE_BYTES
-        episodes = count_or_none("the number of episodes", episodes)
+        episodes = checked_count_or_none("the number of episodes", episodes)
         if episodes is not None and episodes > most:
             raise ArgumentError(
                 f"the number of episodes is {episodes:,}; it must be at least 1, and this machine has memory "

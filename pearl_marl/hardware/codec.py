@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.machine_code import compiled
+from pearl_marl.base.machine_code import compiled
 from pearl_marl.memory_map import MemoryMap, Region
 from pearl_marl.spec import Field
 

@@ -13,12 +13,12 @@ from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
-from pearl_marl.cache import cache_folder
+from pearl_marl.base.cache import cache_folder
+from pearl_marl.base.files import write_whole
 from pearl_marl.compiler.cores import core_name, generated_core
 from pearl_marl.compiler.loading import fingerprint
 from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.files import write_whole
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import Engine, MemoryMap, stream_bits
 from pearl_marl.spec import EnvSpec, snake_case, word_bits
@@ -67,7 +67,7 @@ def core_path(spec: EnvSpec, target: Target = TARGET) -> Path:
 
 def _generated_core(spec: EnvSpec, target: Target) -> Path:
     drawn = spec.reset_draws, spec.step_draws
-    words = spec.state, spec.action_fields, spec.seen, spec.reward, *drawn, spec.agents
+    words = spec.state, spec.action_fields, spec.agent_fields, spec.reward, *drawn, spec.agents
     functions = [fingerprint(function) for function in spec.functions]
     # A state's methods are called by no name that its functions see.
     functions += [fingerprint(kind) for kind in spec.layout.classes]
@@ -134,7 +134,7 @@ def _engine_constants(spec: EnvSpec, engine: Engine | None) -> dict[str, object]
     offsets = [word_bits(fields[:k]) for k in range(len(fields))]
     return {
         "engine": "NoEngine" if engine is None else f"{engine.kind.title()}Engine",
-        "agent_obs_bits": word_bits(spec.seen),
+        "agent_obs_bits": word_bits(spec.agent_fields),
         "elements": len(fields),
         "element_bits": max(field.bits + (not field.signed) for field in fields),
         "element_offsets": ", ".join(map(str, offsets)),

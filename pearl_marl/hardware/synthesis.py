@@ -19,7 +19,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pearl_marl.cache import cache_folder, keep, kept, locked
+from pearl_marl.base.cache import cache_folder, keep, kept, locked
 from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, toolchain
@@ -242,7 +242,7 @@ def _job(build: Build, family: Family, placement: Placement | None) -> _Job:
     sources = elaboration.sources(build.spec, family.target, build.layout.engine)
     files = {path.name: path.read_text("utf-8") for path in sources}
     script = _script(build, family, list(files), placement)
-    parts = [script, files, tools, _place(placement) if placement else ""]
+    parts = [script, files, tools, _placed_by(placement) if placement else ""]
     digest = hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:24]
     return _Job(script, files, tools, cache_folder("synthesis") / f"{build.spec.name}_{digest}.json")
 
@@ -290,7 +290,7 @@ def _script(build: Build, family: Family, files: list[str], placement: Placement
     )
 
 
-def _place(placement: Placement) -> list[str]:
+def _placed_by(placement: Placement) -> list[str]:
     aim = ("--freq", f"{CLOCK_MHZ:g}", "--timing-allow-fail")
     return [*placement.place, *aim, "--quiet", "--json", "netlist.json", "--report", "report.json"]
 
@@ -370,6 +370,6 @@ def _fmax(folder: Path, found: Mapping[str, Any], placement: Placement) -> float
         netlist = json.loads((folder / "netlist.json").read_text("utf-8"))
         absorb(netlist["modules"]["pearl_top"])
         (folder / "netlist.json").write_text(json.dumps(netlist))
-    toolchain.run(_place(placement), cwd=folder)
+    toolchain.run(_placed_by(placement), cwd=folder)
     clocks = json.loads((folder / "report.json").read_text("utf-8"))["fmax"]
     return float(min(clock["achieved"] for clock in clocks.values()))

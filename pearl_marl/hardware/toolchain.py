@@ -16,7 +16,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from pearl_marl.cache import cache_folder, locked
+from pearl_marl.base.cache import cache_folder, locked
 from pearl_marl.errors import DeviceError
 
 _FROM_PYPI = "pip install '.[rtl]'"

@@ -14,20 +14,20 @@ from gymnasium.spaces import Box, Space
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.base.deferral import uninterrupted
 from pearl_marl.batch.actions import ActionRules
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import state_dtype
 from pearl_marl.batch.starts import checked_start
 from pearl_marl.batch.step import Array, BatchStep, on_host
-from pearl_marl.deferral import uninterrupted
 from pearl_marl.devices import BatchConfig, Device, Phase
-from pearl_marl.elements import ActionSpace
 from pearl_marl.errors import ArgumentError, OrderError, renamed
+from pearl_marl.golden.rng import checked_seed
 from pearl_marl.interfaces.world import Mask, World
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.rendering import Renderer, check_render_mode, renderer
-from pearl_marl.rng import checked_seed
+from pearl_marl.spec.elements import ActionSpace
 
 
 class Batch(ABC):

@@ -15,7 +15,10 @@ from gymnasium.spaces import Box, Dict, Space
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.step import Array, on_host
+from pearl_marl.checks import checked_flag
+from pearl_marl.compiler.packing import observed_as
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device
+from pearl_marl.envs import get_spec
 from pearl_marl.errors import ActionError, ArgumentError, OrderError, renamed
 from pearl_marl.interfaces.agent_dict import (
     AgentDict,
@@ -29,8 +32,6 @@ from pearl_marl.interfaces.agent_dict import (
 from pearl_marl.interfaces.batch import Batch, DeviceBatch
 from pearl_marl.interfaces.view import View
 from pearl_marl.interfaces.world import Mask
-from pearl_marl.packing import observed_as
-from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec, Role, snake_case
 
 
@@ -488,8 +489,7 @@ def parallel_env(
         The device is not available.
     """
     spec = get_spec(env_id).with_options(inspect.signature(parallel_env).parameters, **options)
-    if not isinstance(autoreset, bool):
-        raise ArgumentError(f"autoreset is {autoreset!r}; it must be True or False")
+    checked_flag("autoreset", autoreset)
     config = BatchConfig(
         spec=observed_as(spec, observations),
         n_envs=worlds_of(spec, n_agents),

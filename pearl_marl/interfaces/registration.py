@@ -10,7 +10,7 @@ import warnings
 from functools import partial
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from pearl_marl import registry
+from pearl_marl import envs
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.importing import when_imported
 
@@ -25,7 +25,7 @@ def register(spec: EnvSpec) -> None:
     ``pettingzoo.make`` as ``"pearl/Name-v0"`` and to ``gymnasium.make_vec`` as ``"Pearl/Name-v0"``.
     A second registration of the same name replaces the first, with a warning.
     """
-    registry.register(spec)
+    envs.register(spec)
     for library, announce in _LIBRARIES.items():
         if library in sys.modules:
             announce(spec.name, spec.id)
@@ -38,7 +38,7 @@ def announce_all() -> None:
 
 
 def _announce_all_to(library: str) -> None:
-    for name, env_id in registry.ids().items():
+    for name, env_id in envs.ids().items():
         _LIBRARIES[library](name, env_id)
 
 
@@ -71,7 +71,7 @@ _LIBRARIES = {"gymnasium": _announce_to_gymnasium, "pettingzoo": _announce_to_pe
 
 def refuse_make(env_id: str, **arguments: Any) -> NoReturn:
     """Say what to call where one sub-environment is asked for: by ``gymnasium.make``, or to vectorise it."""
-    name = f"Pearl/{registry.get_spec(env_id).id}"
+    name = f"Pearl/{envs.get_spec(env_id).id}"
     raise ArgumentError(
         f"{name} has a vector form only: call gymnasium.make_vec({name!r}, num_envs=...), without a "
         "vectorization_mode"

@@ -12,17 +12,17 @@ from gymnasium.spaces import Space, Tuple
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from pearl_marl.base.deferral import uninterrupted
 from pearl_marl.batch.config import checked_mask
 from pearl_marl.batch.step import Array, BatchStep, on_host
-from pearl_marl.deferral import uninterrupted
+from pearl_marl.compiler.packing import observed_as
 from pearl_marl.devices import BatchConfig, Device, make_device
+from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.interfaces.agent_dict import observations_in
 from pearl_marl.interfaces.batch import Batch, DeviceBatch
 from pearl_marl.interfaces.view import View
 from pearl_marl.interfaces.world import Mask
-from pearl_marl.packing import observed_as
-from pearl_marl.registry import get_spec
 from pearl_marl.spec import check_slots
 
 Observations = Array | tuple[Array, ...]

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from gymnasium.spaces import Space
 
 from pearl_marl.batch.step import BatchStep
-from pearl_marl.elements import ActionSpace
 from pearl_marl.spec import EnvSpec, Role
+from pearl_marl.spec.elements import ActionSpace
 
 Mask = npt.NDArray[np.bool_]
 

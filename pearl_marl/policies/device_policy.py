@@ -2,8 +2,9 @@
 
 An environment shows such a policy *elements*: the numbers of an observation as the integers that they are
 made of. Those of a ``Box`` of floats are its fixed-point words; others are the elements of the observation
-itself. Chance comes from the same counter-based random numbers as an environment's (:mod:`pearl_marl.rng`),
-from an index on that no environment uses, so that a rollout is what single steps would have been.
+itself. Chance comes from the same counter-based random numbers as an environment's
+(:mod:`pearl_marl.golden.rng`), from an index on that no environment uses, so that a rollout is what single
+steps would have been.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl import rng
+from pearl_marl.golden import rng
 from pearl_marl.spec import EnvSpec
 
 Array = npt.NDArray[Any]
@@ -23,7 +24,7 @@ FIRST_DRAW = 1 << 31
 """The index of a policy's first draw. Those of an environment's golden functions come long before it."""
 
 
-class Choice(NamedTuple):
+class ActionChoice(NamedTuple):
     """What a policy chose, a row an agent."""
 
     words: Array
@@ -46,7 +47,7 @@ class DevicePolicy(ABC):
     """How many logits an action is chosen by."""
 
     @abstractmethod
-    def choose(self, elements: Array, agents: Array, masks: Array | None, draws: Array) -> Choice:
+    def choose(self, elements: Array, agents: Array, masks: Array | None, draws: Array) -> ActionChoice:
         """Return an action for each agent.
 
         Parameters

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from pearl_marl.errors import ArgumentError, shown, told
+from pearl_marl.envs import registered_spec
+from pearl_marl.errors import ArgumentError, brief, one_line
 from pearl_marl.policies.device_policy import Array
 from pearl_marl.policies.integer_network import (
     Dense,
@@ -22,7 +23,6 @@ from pearl_marl.policies.integer_network import (
     Rows,
     Scaling,
 )
-from pearl_marl.registry import registered_spec
 
 KIND = "integers"
 """What such a file says that its policy is."""
@@ -107,7 +107,7 @@ def load_policy(path: str | Path) -> IntegerNetwork:
     try:
         return _network(about, {name: tensor.numpy() for name, tensor in tensors.items()})
     except ArgumentError as error:
-        raise ArgumentError(f"{file} is damaged, or of another version: {told(error)}") from None
+        raise ArgumentError(f"{file} is damaged, or of another version: {one_line(error)}") from None
 
 
 def _network(about: Any, tensors: dict[str, Array]) -> IntegerNetwork:
@@ -118,14 +118,14 @@ def _network(about: Any, tensors: dict[str, Array]) -> IntegerNetwork:
     layers = _of(about, "layers", int)
     wanted = {"indicator"}
 
-    def part(where: str, made: type[Any], dtypes: dict[str, Any], fields: dict[str, Any]) -> Any:
+    def read(where: str, made: type[Any], dtypes: dict[str, Any], fields: dict[str, Any]) -> Any:
         wanted.update(f"{where}.{k}" for k in dtypes)
         arrays = {k: _tensor(tensors, f"{where}.{k}", np.dtype(kind)) for k, kind in dtypes.items()}
         others = {k: tuple(v) if isinstance(v, list) else v for k, v in fields.items() if k != "kind"}
         for k, value in others.items():
             numbers = value if isinstance(value, tuple) else (value,)
             if not all(type(number) is int and 0 <= number < 1 << 31 for number in numbers):
-                raise ArgumentError(f"{where} has the {k} {shown(value)}")
+                raise ArgumentError(f"{where} has the {k} {brief(value)}")
         if {*arrays, *others} != {*made._fields}:
             raise ArgumentError(f"{where} has the fields {', '.join(sorted({*arrays, *others}))}")
         return made(**arrays, **others)
@@ -133,8 +133,8 @@ def _network(about: Any, tensors: dict[str, Array]) -> IntegerNetwork:
     def one_of(where: str, kinds: dict[str, tuple[type[Any], dict[str, Any]]]) -> Any:
         fields = _of(about, where, dict)
         if fields.get("kind") not in kinds:
-            raise ArgumentError(f"its {where} have the kind {shown(fields.get('kind'))}")
-        return part(where, *kinds[fields["kind"]], fields)
+            raise ArgumentError(f"its {where} have the kind {brief(fields.get('kind'))}")
+        return read(where, *kinds[fields["kind"]], fields)
 
     if not 1 <= layers <= len(tensors):
         raise ArgumentError(f"it has {layers} layers, and {len(tensors)} tensors")
@@ -142,17 +142,17 @@ def _network(about: Any, tensors: dict[str, Array]) -> IntegerNetwork:
         spec,
         one_of("inputs", _INPUTS),
         _tensor(tensors, "indicator", np.dtype(np.int32)),
-        tuple(part(f"layer.{k}", Dense, _LAYER, _of(about, f"layer.{k}", dict)) for k in range(layers)),
+        tuple(read(f"layer.{k}", Dense, _LAYER, _of(about, f"layer.{k}", dict)) for k in range(layers)),
         one_of("head", _HEADS),
     )
     if extra := tensors.keys() - wanted:
-        raise ArgumentError(f"it has a tensor {shown(min(extra))}, which is of no part of its network")
+        raise ArgumentError(f"it has a tensor {brief(min(extra))}, which is of no part of its network")
     return network
 
 
 def _of(about: dict[str, Any], name: str, kind: type[Any]) -> Any:
     if type(about.get(name)) is not kind:
-        raise ArgumentError(f"its policy has the {name} {shown(about.get(name))}")
+        raise ArgumentError(f"its policy has the {name} {brief(about.get(name))}")
     return about[name]
 
 

@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.elements import bounds
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.device_policy import Array, Choice, DevicePolicy
+from pearl_marl.policies.device_policy import ActionChoice, Array, DevicePolicy
 from pearl_marl.spec import EnvSpec
+from pearl_marl.spec.elements import bounds
 
 ENTRIES = 1024
 """Numbers in a table: of activations for sums from -512 on, of weights for distances from 0 on."""
@@ -122,19 +122,19 @@ class IntegerNetwork(DevicePolicy):
         """How many logits an action is chosen by; none, where sums are levels."""
         return 0 if isinstance(self.head, Levels) else sum(self.head.counts)
 
-    def choose(self, elements: Array, agents: Array, masks: Array | None, draws: Array) -> Choice:
+    def choose(self, elements: Array, agents: Array, masks: Array | None, draws: Array) -> ActionChoice:
         """See :class:`DevicePolicy`."""
         sums = self.sums(elements, agents)
         if isinstance(self.head, Levels):
             head = self.head
             words = (sums.astype(np.int64) * head.multiplier + head.offset) >> head.shift
-            return Choice(words.clip(head.low, head.high), None)
+            return ActionChoice(words.clip(head.low, head.high), None)
         words, start = np.empty((len(sums), len(self.head.counts)), np.int64), 0
         for field, count in enumerate(self.head.counts):
             drawn = draws[:, field] if self.draws else None
             words[:, field] = self._chosen(sums[:, start : start + count], masks, drawn)
             start += count
-        return Choice(words, sums)
+        return ActionChoice(words, sums)
 
     def sums(self, elements: Array, agents: Array) -> npt.NDArray[np.int32]:
         """Return what the last layer adds up, of shape ``(n, outputs)``."""

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pearl_marl.golden.rng import CHAIN_A, CHAIN_B, draw, key
 from pearl_marl.policies.device_policy import FIRST_DRAW, Array
 from pearl_marl.policies.integer_network import (
     ENTRIES,
@@ -19,7 +20,6 @@ from pearl_marl.policies.integer_network import (
     Rows,
     Scaling,
 )
-from pearl_marl.rng import CHAIN_A, CHAIN_B, draw, key
 
 SIDE = 3
 """Rows and columns of a patch."""

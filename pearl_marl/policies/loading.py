@@ -19,14 +19,14 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Discrete, MultiBinary, MultiDiscrete, Tuple
 
-from pearl_marl.arrays import load_array
+from pearl_marl.base.arrays import load_array
+from pearl_marl.base.files import check_uncompressed
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.elements import are_numbers, bounds
-from pearl_marl.errors import ArgumentError, told
-from pearl_marl.files import check_uncompressed
+from pearl_marl.errors import ArgumentError, one_line
+from pearl_marl.golden.rng import checked_seed
 from pearl_marl.policies.device_policy import DevicePolicy
-from pearl_marl.rng import checked_seed
 from pearl_marl.spec import EnvSpec, check_spec
+from pearl_marl.spec.elements import are_numbers, bounds
 
 Array = npt.NDArray[Any]
 Policy = Callable[..., Any]
@@ -207,7 +207,7 @@ def _stable_baselines3(path: Path, spec: EnvSpec, _: int) -> Policy:
     except MemoryError:
         raise
     except Exception as error:  # it may hold any objects of Python, and damaged ones
-        why = told(error) or type(error).__name__
+        why = one_line(error) or type(error).__name__
         raise ArgumentError(f"{path} is no model of stable-baselines3: {why}") from error
     observations: Any = spec.observation_space
     if isinstance(observations, Tuple):  # as wrappers.sb3_vec_env shows it

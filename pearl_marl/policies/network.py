@@ -11,11 +11,11 @@ import torch
 from gymnasium.spaces import Box, Space
 from torch import Tensor, nn
 
-from pearl_marl.elements import are_numbers, bounds
+from pearl_marl.compiler.packing import unpacked
 from pearl_marl.errors import ArgumentError
-from pearl_marl.packing import unpacked
 from pearl_marl.policies import dense
 from pearl_marl.spec import EnvSpec
+from pearl_marl.spec.elements import are_numbers, bounds
 
 Array = npt.NDArray[Any]
 

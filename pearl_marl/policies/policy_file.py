@@ -16,8 +16,8 @@ from typing import Any
 from safetensors.torch import load, save
 from torch import Tensor, nn
 
-from pearl_marl.errors import ArgumentError, shown
-from pearl_marl.files import check_readable, replace_file
+from pearl_marl.base.files import check_readable, replace_file
+from pearl_marl.errors import ArgumentError, brief
 
 FORMAT = "pearl-policy-2"
 _OLDER = "pearl-policy-1"
@@ -52,7 +52,7 @@ def read(path: Path) -> tuple[Any, dict[str, Tensor]]:
         )
     if metadata.get("format") != FORMAT:
         raise ArgumentError(
-            f"{path} is no policy of `pearl train`: its format is {shown(metadata.get('format'))}"
+            f"{path} is no policy of `pearl train`: its format is {brief(metadata.get('format'))}"
         )
     if metadata.get("checksum") != checksum:
         raise ArgumentError(f"{path} is damaged: its checksum is wrong")
@@ -86,7 +86,7 @@ def check_weights(module: nn.Module, tensors: Any, owner: str) -> None:
         ]
         if kinds[0] != kinds[1]:
             raise ArgumentError(
-                f"its tensors are not those of {owner}: {shown(name)} is {kinds[0]}, not {kinds[1]}"
+                f"its tensors are not those of {owner}: {brief(name)} is {kinds[0]}, not {kinds[1]}"
             )
         tensor, last = found[name], name.rpartition(".")[2]
         if not tensor.isfinite().all():

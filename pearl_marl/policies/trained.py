@@ -14,12 +14,12 @@ from gymnasium.spaces import Box, Discrete
 from torch import Tensor, nn
 
 from pearl_marl.checks import is_number
-from pearl_marl.elements import are_numbers, bounds
-from pearl_marl.errors import ArgumentError, shown, told
+from pearl_marl.envs import registered_spec
+from pearl_marl.errors import ArgumentError, brief, one_line
 from pearl_marl.policies import policy_file
 from pearl_marl.policies.network import SHARING, Array, masked, most, networks
-from pearl_marl.registry import registered_spec
 from pearl_marl.spec import EnvSpec
+from pearl_marl.spec.elements import are_numbers, bounds
 
 KINDS = ("logits", "values", "mean")
 """How a network's outputs are meant: see :class:`NetworkPolicy`."""
@@ -227,7 +227,7 @@ def load(path: Path) -> NetworkPolicy | Table:
             policy = _described(about, tensors)
         policy_file.check_weights(policy, tensors, policy.spec.name)
     except ArgumentError as error:
-        raise ArgumentError(f"{file} is damaged, or of another version: {told(error)}") from None
+        raise ArgumentError(f"{file} is damaged, or of another version: {one_line(error)}") from None
     policy.load_state_dict(tensors, assign=True)
     return policy
 
@@ -243,7 +243,7 @@ def _check_description(about: Any) -> None:
         if name not in about:
             raise ArgumentError(f"its policy has no {name!r}")
         if type(about[name]) is not kind:
-            raise ArgumentError(f"its policy has the {name} {shown(about[name])}")
+            raise ArgumentError(f"its policy has the {name} {brief(about[name])}")
 
 
 def _described(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPolicy | Table:
@@ -256,19 +256,19 @@ def _described(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPoli
         raise ArgumentError("it is a policy in integers, which pearl_marl.load_policy() reads for rollout()")
     if about["kind"] not in KINDS:
         raise ArgumentError(
-            f"its policy has the kind {shown(about['kind'])}; possible are {', '.join(KINDS)}, table"
+            f"its policy has the kind {brief(about['kind'])}; possible are {', '.join(KINDS)}, table"
         )
     width, sharing = about["width"], about.get("sharing", "all")
     if sharing not in SHARING:
-        raise ArgumentError(f"its policy has the sharing {shown(sharing)}; possible are {', '.join(SHARING)}")
+        raise ArgumentError(f"its policy has the sharing {brief(sharing)}; possible are {', '.join(SHARING)}")
     layer = "network.0.hidden.weight" if sharing == "none" else "network.hidden.weight"
     hidden = tensors.get(layer, _SCALAR)
     if width < 1 or hidden.shape != (width, width):
-        raise ArgumentError(f"its policy has the width {shown(width)}, and layers of {tuple(hidden.shape)}")
+        raise ArgumentError(f"its policy has the width {brief(width)}, and layers of {tuple(hidden.shape)}")
     name = {"logits": "temperature", "values": "epsilon"}.get(about["kind"])
     if name is None:
         return NetworkPolicy(spec, about["kind"], width, sharing)
     randomness = about.get(name, about.get("chance", 0.0))  # older files have "chance" for both
     if not is_number(randomness) or randomness < 0:
-        raise ArgumentError(f"its policy has the {name} {shown(randomness)}; it must be a number from 0")
+        raise ArgumentError(f"its policy has the {name} {brief(randomness)}; it must be a number from 0")
     return NetworkPolicy(spec, about["kind"], width, sharing, **{name: float(randomness)})

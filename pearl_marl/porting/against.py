@@ -38,7 +38,7 @@ class Errors(NamedTuple):
     mean: float
 
 
-class Comparison(NamedTuple):
+class ComparisonWithOriginal(NamedTuple):
     """What there is to say of the two."""
 
     how: str
@@ -59,7 +59,7 @@ class Comparison(NamedTuple):
         return self.difference is None
 
 
-def compare(spec: EnvSpec, original: Original, steps: int, seed: int) -> Comparison:
+def compare(spec: EnvSpec, original: Original, steps: int, seed: int) -> ComparisonWithOriginal:
     """Compare an environment with an original.
 
     Raises
@@ -105,7 +105,7 @@ def compare(spec: EnvSpec, original: Original, steps: int, seed: int) -> Compari
 
     mine, length = _returns(original, start, our_step, _limit(spec))
     theirs, other_length = _returns(original, reset, their_step, _limit(spec))
-    return Comparison(how, taken, difference, errors, (mine, theirs), (length, other_length))
+    return ComparisonWithOriginal(how, taken, difference, errors, (mine, theirs), (length, other_length))
 
 
 def _poser(spec: EnvSpec, original: Original) -> tuple[Pose | None, str]:
@@ -146,7 +146,7 @@ def _beside(spec: EnvSpec, original: Original, pose: Pose | None, rng: np.random
             pose(state)
 
     def look(game: Original) -> Outcome:
-        return Outcome(_seen(spec, game) if pose is None else None)
+        return Outcome(_observations(spec, game) if pose is None else None)
 
     return Games(spec, [original], begin, lambda game, *given: _stepped(spec, game, *given), look)
 
@@ -155,13 +155,13 @@ def _stepped(spec: EnvSpec, original: Original, actions: list[Any], draws: list[
     """Step the original by its own random numbers; of the time limit nothing is said."""
     kind = original.action_space.dtype
     given = [np.asarray(action, kind) if isinstance(action, list) else action for action in actions]
-    return original.step(given)._replace(observations=_seen(spec, original), truncated=None)
+    return original.step(given)._replace(observations=_observations(spec, original), truncated=None)
 
 
-def _seen(spec: EnvSpec, original: Original) -> list[Any]:
+def _observations(spec: EnvSpec, original: Original) -> list[Any]:
     """Return what each agent observes, element by element; of one that has left nothing."""
     nothing = (np.nan,) * spec.observation_size
-    return [nothing if seen is None else elements(seen) for seen in original.seen]
+    return [nothing if seen is None else elements(seen) for seen in original.observations]
 
 
 def _side_by_side(

@@ -85,7 +85,7 @@ def observed(original: Original) -> Seen:
             of_path = values.setdefault(path, {})
             if len(of_path) < 4096:
                 of_path.setdefault(frozen(value), _copied(value))
-        rows.extend(elements(seen) for seen in original.seen if seen is not None)
+        rows.extend(elements(seen) for seen in original.observations if seen is not None)
 
     for seed in range(EPISODES):
         original.reset(seed)
@@ -146,7 +146,7 @@ def _attribute(path: str, values: list[Any], taken: set[str]) -> Attribute:
     arrays = [np.asarray(v) for v in there if _is_regular(v)]
     none = "None, or " if len(there) < len(values) else ""
     if len(arrays) < len(there) or not arrays or any(a.dtype.kind not in "biuf" for a in arrays):
-        return Attribute(path, name, None, False, f"{none}{_told(there, kinds)}")
+        return Attribute(path, name, None, False, f"{none}{_values_found(there, kinds)}")
     shapes = {array.shape for array in arrays}
     low, high = min(a.min() for a in arrays if a.size), max(a.max() for a in arrays if a.size)
     real = any(a.dtype.kind == "f" and not np.array_equal(a, np.rint(a)) for a in arrays)
@@ -212,7 +212,7 @@ def _outward(end: float) -> str:
     return f"{math.copysign(found, end):g}".replace("e+06", "_000_000")
 
 
-def _told(values: list[Any], kinds: list[str]) -> str:
+def _values_found(values: list[Any], kinds: list[str]) -> str:
     if all(isinstance(value, str) for value in values) and values:
         some = sorted(set(values))
         return "one of " + ", ".join(map(repr, some[:6])) + (" ..." if len(some) > 6 else "")

@@ -84,7 +84,7 @@ def finite(original: Original) -> Finite:
     table = getattr(original.env, "P", None)
     if isinstance(original.observation_space, Discrete) and table is not None:
         result = _of_table(original, table)
-        _hold(original, result, lambda run: int(run.seen[0]), "which its P does not list")
+        _hold(original, result, lambda run: int(run.observations[0]), "which its P does not list")
     else:
         result = _Search(original).run()
     size = result.states * len(result.rows[0]) * result.width
@@ -326,7 +326,7 @@ class _Search:
 
     def _begin(self) -> Iterator[tuple[float, int]]:
         for original, probability, _ in self._ways(self._original, None, MOST_STARTS):
-            yield probability, self._number(original, original.seen[0], False)
+            yield probability, self._number(original, original.observations[0], False)
 
     def _expand(self) -> tuple[tuple[tuple[Transition, ...], ...], ...]:
         space = self._original.action_space

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from pearl_marl.errors import ArgumentError, told
+from pearl_marl.errors import ArgumentError, one_line
 from pearl_marl.porting.attributes import observed
 from pearl_marl.porting.finite import NotFiniteError, finite
 from pearl_marl.porting.originals import Original
@@ -53,13 +53,13 @@ def made(name: str, original_name: str, options: dict[str, Any], rules: bool = F
         except NotFiniteError as error:
             why = str(error)
         except Exception as error:  # of the original, run with what it does not expect
-            why = f"it cannot be run in every state: {type(error).__name__}: {told(error)}"
+            why = f"it cannot be run in every state: {type(error).__name__}: {one_line(error)}"
         original = Original(original_name, **options)
     try:
         seen = observed(original)
     except Exception as error:  # of the original's own
         raise ArgumentError(
-            f"{original_name} fails when it is run by random actions: {type(error).__name__}: {told(error)}"
+            f"{original_name} fails when random actions run it: {type(error).__name__}: {one_line(error)}"
         ) from error
     reason = f"No tables were made of {original_name}, as {why}; t" if why else "T"
     said = f"{reason}he skeleton was written instead, after {seen.steps:,} steps of it."

@@ -166,13 +166,13 @@ class Ours:
         self._masks = [] if masks is None else [reference(masks, *agent) for agent in spec.views]
         self.words: list[Array] = [np.zeros(n, field.dtype) for field in spec.state]
         """A column for each field of the state."""
-        self._seen: tuple[list[Array], Array] | None = None
+        self._last_observed: tuple[list[Array], Array] | None = None
 
     def start(self, draws: Array, games: Any = slice(None)) -> None:
         """Begin episodes in some games by draws of shape ``(games, draws)``."""
         for column, word in zip(self.words, self._initial(*draws.T), strict=True):
             column[games] = word
-        self._seen = None
+        self._last_observed = None
 
     def values(self, games: Any = slice(None)) -> list[Array]:
         """Return what the words of the state stand for; fields with a fraction are floats."""
@@ -193,10 +193,10 @@ class Ours:
 
     def observations(self) -> Array:
         """Return what all agents see, shape ``(games, agents, elements)``."""
-        if self._seen is None or self._seen[0] is not self.words:
+        if self._last_observed is None or self._last_observed[0] is not self.words:
             seen = np.stack([self._observed(self._run(run)) for run in self._observe], 1)
-            self._seen = self.words, seen
-        return self._seen[1]
+            self._last_observed = self.words, seen
+        return self._last_observed[1]
 
     def masks(self) -> Array:
         """Return which actions all agents may take, shape ``(games, agents, actions)``."""

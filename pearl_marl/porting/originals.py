@@ -15,11 +15,11 @@ from gymnasium import Space
 from gymnasium.spaces import Box, Dict, Discrete, Tuple
 
 from pearl_marl.batch.actions import random_numbers
-from pearl_marl.elements import ActionSpace, action_counts, are_numbers, bounds
-from pearl_marl.errors import ArgumentError, told
+from pearl_marl.errors import ArgumentError, one_line
 from pearl_marl.porting.contents import kept, replaced, reseeded
 from pearl_marl.porting.oracle import Outcome
 from pearl_marl.spec import MAX_AGENTS
+from pearl_marl.spec.elements import ActionSpace, action_counts, are_numbers, bounds
 
 MOST_ELEMENTS = 4096
 """Elements of an observation: each is a field of a hardware word."""
@@ -54,7 +54,7 @@ class Original:
             raise ArgumentError(f"{name} has {self.agents} agents; a world has 1 to {MAX_AGENTS}")
         self.observation_space, self.action_space = self._space("observation"), self._space("action")
         self._ended: list[bool] = [False] * self.agents
-        self.seen: list[Any] = []
+        self.observations: list[Any] = []
         self.over = False
         """Whether the episode is over."""
         for what, why in (
@@ -86,8 +86,8 @@ class Original:
         self._ended = [False] * self.agents
         with _quiet():
             observed, _ = self.env.reset(seed=seed)
-        self.seen = [observed[agent] for agent in self.names] if self.names else [observed]
-        return self.seen
+        self.observations = [observed[agent] for agent in self.names] if self.names else [observed]
+        return self.observations
 
     def step(self, actions: Sequence[Any]) -> Outcome:
         """Take an action of each agent."""
@@ -99,8 +99,8 @@ class Original:
         with _quiet():
             if not self.names:
                 seen, reward, terminated, truncated, _ = self.env.step(actions[0])
-                self.seen = [seen]
-                return Outcome(self.seen, [float(reward) + 0.0], [bool(terminated)], bool(truncated))
+                self.observations = [seen]
+                return Outcome(self.observations, [float(reward) + 0.0], [bool(terminated)], bool(truncated))
             alive = list(self.env.agents)
             given = {
                 agent: action for agent, action in zip(self.names, actions, strict=True) if agent in alive
@@ -109,9 +109,9 @@ class Original:
         self._ended = [
             ended or bool(ends.get(agent)) for agent, ended in zip(self.names, self._ended, strict=True)
         ]
-        self.seen = [seen.get(agent) for agent in self.names]
+        self.observations = [seen.get(agent) for agent in self.names]
         return Outcome(
-            self.seen,
+            self.observations,
             [float(rewards.get(agent, 0)) + 0.0 for agent in self.names],
             list(self._ended),
             any(truncations.values()),
@@ -198,7 +198,7 @@ def _made(name: str, options: Mapping[str, Any]) -> Any:
     except ArgumentError:
         raise
     except Exception as error:
-        raise ArgumentError(f"{name} cannot be made: {type(error).__name__}: {told(error)}") from error
+        raise ArgumentError(f"{name} cannot be made: {type(error).__name__}: {one_line(error)}") from error
     if isinstance(env, gymnasium.Env):
         return env
     if hasattr(env, "possible_agents") and not hasattr(env, "agent_selection"):
@@ -224,7 +224,7 @@ def _found(name: str) -> Any:
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
-            raise ArgumentError(f"module {module_name!r} cannot be imported: {told(error)}") from error
+            raise ArgumentError(f"module {module_name!r} cannot be imported: {one_line(error)}") from error
         raise ArgumentError(
             f"there is no module {error.name!r} for {name!r}; install its package, or add its folder to "
             "PYTHONPATH"
@@ -276,9 +276,10 @@ def _registered(name: str, options: Mapping[str, Any]) -> gymnasium.Env[Any, Any
         gymnasium.error.NamespaceNotFound,
     ) as error:
         raise ArgumentError(
-            f"Gymnasium has no environment {name!r}: {told(error)} (a class is named 'package.module:Class')"
+            f"Gymnasium has no environment {name!r}: {one_line(error)} "
+            "(a class is named 'package.module:Class')"
         ) from None
     except gymnasium.error.Error as error:
-        raise ArgumentError(f"{name} cannot be made: {told(error)}") from None
+        raise ArgumentError(f"{name} cannot be made: {one_line(error)}") from None
     except Exception as error:
-        raise ArgumentError(f"{name} cannot be made: {type(error).__name__}: {told(error)}") from error
+        raise ArgumentError(f"{name} cannot be made: {type(error).__name__}: {one_line(error)}") from error

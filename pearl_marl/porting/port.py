@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 
-from pearl_marl.fields import Field
 from pearl_marl.golden import CountingDraws, Draws, as_python_runs_it
+from pearl_marl.golden.reals import Real
 from pearl_marl.layout import Layout, leaves
+from pearl_marl.layout.fields import Field
 from pearl_marl.porting.contents import elements
 from pearl_marl.porting.originals import Original
-from pearl_marl.reals import Real
 
 SEEDS, STEPS = 40, 100
 """Episodes of the original that a part is compared over, and their steps at most."""
@@ -130,7 +130,7 @@ class Port:
         for where in self._reached():
             state = self._state()
             for agent in range(self.original.agents):
-                seen = self.original.seen[agent]
+                seen = self.original.observations[agent]
                 if seen is None:  # it has left
                     continue
                 result = observe(state, *[agent][: self.original.agents > 1])
@@ -144,7 +144,7 @@ class Port:
                     return f"{where}: observe() returns {len(numbers)} numbers, and the space has {len(due)}"
                 for k, (own, right) in enumerate(zip(numbers, due, strict=True)):
                     if not self._near(own, right):
-                        what, told = f"element {k} of the observation", self._told(state)
+                        what, told = f"element {k} of the observation", self._fields_of(state)
                         return f"{where}: {what} is {own:g}, the original's {right:g} (in {told})"
         return None
 
@@ -164,13 +164,13 @@ class Port:
             if counted.count == 0 and all(self._difference(theirs, other) is None for other in again):
                 wrong = self._difference(own, theirs)
                 if wrong:
-                    return f"{where}, action {_short(actions)}: {wrong} (from {self._told(state)})"
+                    return f"{where}, action {_short(actions)}: {wrong} (from {self._fields_of(state)})"
             elif sampled < CHANCES:
                 sampled += 1
                 ours = Counter(self._outcome(step(state, given, self._draws(rng))) for _ in range(SAMPLES))
                 wrong = self._often(ours, Counter(self._sampled(actions, SAMPLES)), "a step comes to")
                 if wrong:
-                    return f"{where}, action {_short(actions)}: {wrong} (from {self._told(state)})"
+                    return f"{where}, action {_short(actions)}: {wrong} (from {self._fields_of(state)})"
         return None
 
     # ---- Both sides as tuples: the words of a state, then rewards, then ends ----
@@ -196,7 +196,7 @@ class Port:
         """Return the state that the original is in, as a step takes it: reals are rounded to their fields."""
         return self._layout.built(self._words(self.original))
 
-    def _told(self, state: Any) -> str:
+    def _fields_of(self, state: Any) -> str:
         pairs = zip(self._layout.fields, self._flat(state), strict=True)
         return ", ".join(f"{field.name} {field.value(word):.9g}" for field, word in pairs)
 

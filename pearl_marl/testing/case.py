@@ -14,13 +14,13 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl import devices
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, BatchStep, Device, Lockstep, Rtl
-from pearl_marl.elements import action_counts, bounds
+from pearl_marl.envs import get_spec
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import toolchain
 from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
 from pearl_marl.interfaces.vector import PearlVectorEnv, make_vec
-from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
+from pearl_marl.spec.elements import action_counts, bounds
 
 Array = npt.NDArray[Any]
 T = TypeVar("T", Device, PearlParallelEnv, PearlVectorEnv)

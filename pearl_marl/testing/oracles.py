@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl import rng
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.devices import BatchConfig, BatchStep, Native
+from pearl_marl.golden import rng
 from pearl_marl.interfaces.parallel import parallel_env
 from pearl_marl.porting.oracle import Actions, Move, Oracle, Ours, any_actions, compare
 from pearl_marl.spec import EnvSpec

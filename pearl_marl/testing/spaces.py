@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete, Tuple
 
-from pearl_marl.elements import bounds
 from pearl_marl.errors import ActionError
+from pearl_marl.spec.elements import bounds
 from pearl_marl.testing.case import SIZE, STEPS, Case, names_of, rows_of, shown_space
 from pearl_marl.testing.golden_functions import contains_all
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from pearl_marl.registry import get_spec
+from pearl_marl.envs import get_spec
 from pearl_marl.spec import EnvSpec
 from pearl_marl.testing.agreement import AgreementContract
 from pearl_marl.testing.buffers import BuffersContract

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.saved_state import SavedState
+from pearl_marl.compiler.packing import packed
 from pearl_marl.devices import BatchConfig, BatchStep, Cuda, Device, make_device
-from pearl_marl.packing import packed
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.actor_critic import Inputs
 

@@ -36,7 +36,7 @@ from pearl_marl.policies.dense import (
 )
 from pearl_marl.policies.network import MASKED, is_dense
 from pearl_marl.training.actor_critic import ActorCritic
-from pearl_marl.training.rollout import Rollout
+from pearl_marl.training.rollout import RolloutBuffer
 
 Array = npt.NDArray[Any]
 
@@ -237,7 +237,7 @@ class CompiledGradients:
     is always the sum of two halves.
     """
 
-    def __init__(self, model: ActorCritic, rollout: Rollout, clip: float, entropy: float) -> None:
+    def __init__(self, model: ActorCritic, rollout: RolloutBuffer, clip: float, entropy: float) -> None:
         self._clip, self._entropy = clip, entropy
         self._width = model.policy.about["width"]
         inputs = rollout.inputs

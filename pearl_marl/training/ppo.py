@@ -22,7 +22,7 @@ from pearl_marl.training.actor_critic import ActorCritic
 from pearl_marl.training.adam import Adam
 from pearl_marl.training.agents import TEAM, observed_spec
 from pearl_marl.training.dense_ppo import CompiledGradients, fits
-from pearl_marl.training.rollout import Rollout, RolloutWorker
+from pearl_marl.training.rollout import RolloutBuffer, RolloutWorker
 from pearl_marl.training.settings import SEEDS, WIDEST, TrainerSettings, check_memory, choice, count, number
 from pearl_marl.training.trainer import Trainer
 from pearl_marl.training.workers import RayWorkers
@@ -109,7 +109,7 @@ class PPO(Trainer):
             self.learn(samples, rows)
         self.done += 1
 
-    def learn(self, samples: Rollout, rows: Tensor) -> None:
+    def learn(self, samples: RolloutBuffer, rows: Tensor) -> None:
         """Learn from these rows of a rollout, whose steps and agents are one axis."""
         settings = self.settings
         gradients: Callable[[Tensor], Tensor] = partial(self.gradients, samples)
@@ -123,7 +123,7 @@ class PPO(Trainer):
         self.losses = torch.stack(losses).mean(0)
         self.check(self.losses)
 
-    def gradients(self, samples: Rollout, minibatch: Tensor) -> Tensor:
+    def gradients(self, samples: RolloutBuffer, minibatch: Tensor) -> Tensor:
         """Leave the gradients of a minibatch's loss with the parameters.
 
         Return the policy's loss, the critic's, the entropy, and the share of ratios that were clipped.
@@ -144,7 +144,7 @@ class PPO(Trainer):
         clipped = ((ratio - 1).abs() > clip).float().mean()
         return torch.stack((policy_loss, value_loss, entropy, clipped)).detach()
 
-    def count(self, rollout: Rollout) -> None:
+    def count(self, rollout: RolloutBuffer) -> None:
         """Count the episodes that ended."""
         self.episodes.add(rollout.rewards, rollout.ended)
 

@@ -11,15 +11,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from pearl_marl.elements import are_numbers, bounds
-from pearl_marl.errors import ArgumentError, shown
+from pearl_marl.errors import ArgumentError, brief
 from pearl_marl.spec import EnvSpec
+from pearl_marl.spec.elements import are_numbers, bounds
 
 
 def whole(name: str, value: Any) -> int:
     """Return a number of things."""
     if type(value) is not int or not 0 <= value < 1 << 63:
-        raise ArgumentError(f"its {name} is {shown(value)}; it must be an integer from 0")
+        raise ArgumentError(f"its {name} is {brief(value)}; it must be an integer from 0")
     return value
 
 

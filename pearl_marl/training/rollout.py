@@ -24,7 +24,7 @@ CRITIC_ROWS = 16_384
 """Observations that the critic is given at a time, which bounds the memory of its layers."""
 
 
-class Rollout(NamedTuple):
+class RolloutBuffer(NamedTuple):
     """What agents did: a row for each step and a column for each agent, or a row for each sample."""
 
     inputs: Inputs
@@ -36,10 +36,10 @@ class Rollout(NamedTuple):
     rewards: Tensor  # from the device
     ended: Tensor  # which episodes ended
 
-    def flat(self) -> Rollout:
+    def flat(self) -> RolloutBuffer:
         """Return steps and agents as one axis."""
         inputs, *others = self
-        return Rollout(inputs.flat(), *(tensor.flatten(0, 1) for tensor in others))
+        return RolloutBuffer(inputs.flat(), *(tensor.flatten(0, 1) for tensor in others))
 
     def tensors(self) -> list[Tensor | None]:
         """Return all tensors, with None for inputs that the environment does not have."""
@@ -75,7 +75,7 @@ class RolloutWorker:
         self.where = self.agents.obs.device
 
     @torch.no_grad()
-    def gather(self, rollout: int) -> Rollout:
+    def gather(self, rollout: int) -> RolloutBuffer:
         """Step all agents ``rollout_length`` times; return the rollout of that number."""
         settings, agents, model, steps = self.settings, self.agents, self.model, self.settings.rollout_length
         noise = self._noise(rollout)
@@ -120,7 +120,9 @@ class RolloutWorker:
         trajectories = Trajectories(wanted, values, over, decides, unknown)
         advantages, mask = estimated_advantages(trajectories, settings.discount, settings.gae_lambda)
         inputs = inputs.pick(slice(0, -1))
-        return Rollout(inputs, chosen, log_probs, advantages, advantages + values[:-1], mask, rewards, ended)
+        return RolloutBuffer(
+            inputs, chosen, log_probs, advantages, advantages + values[:-1], mask, rewards, ended
+        )
 
     def acting(self) -> Tensor:
         """Return which agents' next decisions are learned from."""

@@ -15,11 +15,11 @@ import numpy as np
 import torch
 
 from pearl_marl.batch.config import worlds_of
-from pearl_marl.errors import ArgumentError, PearlError, SavedStateError, shown, told
+from pearl_marl.envs import get_spec
+from pearl_marl.errors import ArgumentError, PearlError, SavedStateError, brief, one_line
 from pearl_marl.evaluation.matches import Match
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies.loading import random_policy
-from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training import dqn, ppo, q_learning, self_play
 from pearl_marl.training.presets import PRESETS
@@ -279,7 +279,7 @@ class TrainingRun:
             seconds, best = float(saved["seconds"]), float(saved["best"])
             trainer.load(saved["trainer"])
             if not isinstance(trainer.done, int) or not 0 <= trainer.done <= self.iterations:
-                raise ValueError(f"it has done {shown(trainer.done)} iterations of {self.iterations}")
+                raise ValueError(f"it has done {brief(trainer.done)} iterations of {self.iterations}")
             if not self.rows and (trainer.done == self.iterations or best > -math.inf):
                 raise ValueError("it has no metrics of evaluations that were done")
             if not math.isfinite(seconds) or math.isnan(best):
@@ -288,7 +288,7 @@ class TrainingRun:
             refused = isinstance(error, (ArgumentError, SavedStateError))
             if isinstance(error, _NOT_ITS_FAULT) and not refused:
                 raise
-            why = told(error) or type(error).__name__
+            why = one_line(error) or type(error).__name__
             raise self.folder.damaged(f"and cannot be gone on from ({why})") from error
         self.best = best
         self.folder.write_metrics()  # a kill may have left those of an earlier moment

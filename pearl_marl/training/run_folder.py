@@ -22,10 +22,10 @@ from typing import Any
 import torch
 from torch.utils.tensorboard import SummaryWriter
 
+from pearl_marl.base.files import check_files, check_uncompressed, claimed, replace_file
 from pearl_marl.checks import is_number
-from pearl_marl.errors import ArgumentError, shown, told
+from pearl_marl.errors import ArgumentError, brief, one_line
 from pearl_marl.evaluation.machine import machine
-from pearl_marl.files import check_files, check_uncompressed, claimed, replace_file
 from pearl_marl.rendering import new_figure, save_figure
 
 CHECKPOINT, PREVIOUS = "checkpoint.pt", "checkpoint.previous.pt"
@@ -89,8 +89,8 @@ class RunFolder:
             # As text: True is 1 in Python.
             if name not in before or json.dumps(before[name]) != json.dumps(now.get(name)):
                 raise ArgumentError(
-                    f"{what_is} a run with {told(name)} {shown(before.get(name))}, not {now.get(name)!r}: "
-                    "give the same settings to go on with it, or another --out"
+                    f"{what_is} a run with {one_line(name)} {brief(before.get(name))}, not "
+                    f"{now.get(name)!r}: give the same settings to go on with it, or another --out"
                 )
 
     def resume(self) -> dict[str, Any] | None:
@@ -132,7 +132,7 @@ class RunFolder:
                 wrong = archive.testzip()
                 plain = wrong is None and _is_plain(archive)
             if wrong is not None:
-                why = f"and the checksum of {shown(wrong)} in it is wrong"
+                why = f"and the checksum of {brief(wrong)} in it is wrong"
             if plain:
                 checkpoint = torch.load(self._resumed, map_location="cpu", weights_only=True)
                 why = "and holds no state of a training"

@@ -23,7 +23,7 @@ from pearl_marl.spec import EnvSpec
 from pearl_marl.training import ppo
 from pearl_marl.training.actor_critic import Inputs
 from pearl_marl.training.restoring import whole
-from pearl_marl.training.rollout import Rollout, RolloutWorker, seed_of
+from pearl_marl.training.rollout import RolloutBuffer, RolloutWorker, seed_of
 from pearl_marl.training.settings import count, number
 
 
@@ -53,7 +53,7 @@ class LeagueWorker(RolloutWorker):
         self.met: list[int] = []
         self.random_moves = torch.zeros(settings.rollout_length, n, dtype=torch.bool, device=self.where)
 
-    def gather(self, rollout: int) -> Rollout:
+    def gather(self, rollout: int) -> RolloutBuffer:
         """Step all agents, against members that the rollout's number decides; return the rollout."""
         settings = self.settings
         draw = np.random.default_rng(seed_of(settings.seed, rollout, 1))
@@ -102,7 +102,7 @@ class SelfPlay(ppo.PPO):
         if self.done % self.settings.join_every == 0:
             self._join()
 
-    def count(self, rollout: Rollout) -> None:
+    def count(self, rollout: RolloutBuffer) -> None:
         """Count the episodes that ended: the learner's against the league, as against itself it wins half."""
         players = self.worker.players.reshape(-1, self.worker.spec.agents)
         counted = ((players == 0) & (players != 0).any(1, keepdim=True)).flatten()

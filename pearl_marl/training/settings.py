@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from pearl_marl.batch.results import memory_of_machine
-from pearl_marl.checks import MANY, Range
+from pearl_marl.checks import MANY, NumberRange
 from pearl_marl.devices import Cuda
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec
@@ -23,22 +23,24 @@ WIDEST = 2**14
 """The widest layer of a network: its weights take a gigabyte."""
 
 
-def _setting(default: Any, values: Range | Choice, formerly: str) -> Any:
+def _setting(default: Any, values: NumberRange | OneOf, formerly: str) -> Any:
     return field(default=default, metadata={"range": values, "formerly": formerly})
 
 
 def count(default: int, least: int = 1, most: int = MANY, formerly: str = "") -> Any:
     """Return a setting that counts something; ``formerly`` is its name before it was renamed."""
-    return _setting(default, Range(least=least, most=most, whole=True), formerly)
+    return _setting(default, NumberRange(least=least, most=most, whole=True), formerly)
 
 
 def number(default: float, most: float = math.inf, above: bool = False, formerly: str = "") -> Any:
     """Return a setting that is a finite number from 0, or above 0 only, if ``above``."""
-    return _setting(default, Range(above=0, most=most) if above else Range(least=0, most=most), formerly)
+    return _setting(
+        default, NumberRange(above=0, most=most) if above else NumberRange(least=0, most=most), formerly
+    )
 
 
 @dataclass(frozen=True)
-class Choice:
+class OneOf:
     """One of some words."""
 
     words: tuple[str, ...]
@@ -52,14 +54,14 @@ class Choice:
 
 def choice(*words: str) -> Any:
     """Return a setting that is one of some words, by default the first."""
-    return _setting(words[0], Choice(words), "")
+    return _setting(words[0], OneOf(words), "")
 
 
 class TrainerSettings:
     """A dataclass of :func:`count`, :func:`number` and :func:`choice`, each within its range."""
 
     @classmethod
-    def range(cls, name: str) -> Range | Choice:
+    def range(cls, name: str) -> NumberRange | OneOf:
         """Return the values that a setting may have."""
         (found,) = (f.metadata["range"] for f in fields(cls) if f.name == name)  # type: ignore[arg-type]
         return found  # type: ignore[no-any-return]

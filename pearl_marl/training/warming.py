@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pearl_marl.devices.warming import compiled_by
-from pearl_marl.registry import get_spec
+from pearl_marl.envs import get_spec
 from pearl_marl.training.run import ALGORITHMS, settings_for
 
 RUNS: tuple[tuple[str, str, dict[str, Any]], ...] = (

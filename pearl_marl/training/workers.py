@@ -21,7 +21,7 @@ from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.policies.network import Array
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.actor_critic import ActorCritic
-from pearl_marl.training.rollout import Rollout, RolloutWorker, block_edges
+from pearl_marl.training.rollout import RolloutBuffer, RolloutWorker, block_edges
 
 RESOURCES: dict[str, dict[str, float]] = {"cuda": {"GPU": 1}, "xdma": {"fpga": 1}, "serial": {"fpga": 1}}
 """Resources that a worker needs of its machine, by its device."""
@@ -101,7 +101,7 @@ class RayWorkers:
                 self._give_up(i, attempt, "while it started", error)
         raise AssertionError
 
-    def gather(self, rollout: int) -> Rollout:
+    def gather(self, rollout: int) -> RolloutBuffer:
         """Have all agents stepped; return the rollout of that number."""
         weights = self._put({name: tensor.cpu().numpy() for name, tensor in self.model.state_dict().items()})
         under_way = [self._ask(i, rollout, weights) for i in range(len(self._actors))]
@@ -121,7 +121,7 @@ class RayWorkers:
                     asked = self._ask(i, rollout, weights)
         self._states = [state for _, state in gathered]
         self._behind = [False] * len(self._actors)
-        return Rollout.of(
+        return RolloutBuffer.of(
             [self._joined(part) for part in zip(*(share for share, _ in gathered), strict=True)]
         )
 

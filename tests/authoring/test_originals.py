@@ -14,8 +14,8 @@ from pearl_marl.batch.config import BatchConfig
 from pearl_marl.compiler.core_graph import core_graph
 from pearl_marl.devices import Native
 from pearl_marl.golden import call_reference
+from pearl_marl.golden.tracing.nodes import in_order
 from pearl_marl.spec import EnvSpec
-from pearl_marl.tracing.nodes import in_order
 
 from . import breakout, taxi
 

@@ -17,7 +17,7 @@ from pearl_marl import get_spec
 from pearl_marl.benchmark import peers, steps, tables
 from pearl_marl.benchmark.measure import Contender, Game, UnavailableError, measure
 from pearl_marl.cli import bench
-from pearl_marl.registry import names
+from pearl_marl.envs import names
 
 from ..toy_world import MEADOW
 

@@ -14,7 +14,7 @@ import pytest
 from pearl_marl.benchmark import training, watch
 from pearl_marl.benchmark.training import OURS, TASKS, TRAINERS, TrainerModule, TrainingTask
 from pearl_marl.benchmark.watch import Watch
-from pearl_marl.registry import get_spec
+from pearl_marl.envs import get_spec
 
 Pearl = Callable[..., tuple[int, str, str]]
 NEEDS = {trainer.module: trainer.packages for trainer in TRAINERS if trainer.module is not None}

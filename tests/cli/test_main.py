@@ -15,8 +15,8 @@ from typing import Any
 
 import pytest
 
+from pearl_marl.base.version import __version__
 from pearl_marl.cli import COMMANDS
-from pearl_marl.version import __version__
 
 Pearl = Callable[..., tuple[int, str, str]]
 

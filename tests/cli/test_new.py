@@ -19,12 +19,12 @@ import pytest
 
 import pearl_marl
 from pearl_marl import cli
-from pearl_marl.comparison.replay import checksum
 from pearl_marl.devices import BatchConfig, Lockstep
+from pearl_marl.devices.replay import checksum
+from pearl_marl.envs import _specs
 from pearl_marl.errors import ArgumentError, LockstepError
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
-from pearl_marl.registry import _specs
 from pearl_marl.testing import trajectory
 
 from ..devices.broken import Flips
@@ -96,7 +96,7 @@ def test_files_of_a_world(pearl: Any, tmp_path: Path) -> None:
 @pytest.mark.parametrize("agents", [0, 64])
 def test_so_many_agents_share_no_world(pearl: Any, agents: int) -> None:
     status, _, err = pearl("new", "TwoRooms", "--agents", agents)
-    assert (status, err) == (2, f"pearl: --agents is {agents}; a world has 1 to 63\n")
+    assert (status, err) == (2, f"pearl: --agents is {agents}; it must be an integer from 1 to 63\n")
 
 
 @pytest.mark.parametrize(

@@ -18,10 +18,10 @@ from pearl_marl.benchmark.measure import Contender
 from pearl_marl.benchmark.steps import contenders
 from pearl_marl.benchmark.tables import BATCH, ENVPOOL, KERNEL
 from pearl_marl.cli import app
+from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.experiments import energy, figure6, figure7, figure8, goals, report
 from pearl_marl.experiments.section import KINDS, Row, select
-from pearl_marl.registry import get_spec, names
 
 
 class Page(html.parser.HTMLParser):

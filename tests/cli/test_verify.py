@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from pearl_marl.cli.common import in_file_name
-from pearl_marl.comparison import replay as replaying
 from pearl_marl.devices import Native, by_name
+from pearl_marl.devices import replay as replaying
 from pearl_marl.errors import ArgumentError
 
 from ..devices.broken import Flips

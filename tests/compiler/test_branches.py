@@ -18,9 +18,9 @@ import pytest
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import Draws, i8, i16, reference, u8
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import Node, in_order, values
-from pearl_marl.tracing.trace import trace
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import Node, in_order, values
+from pearl_marl.golden.tracing.trace import trace
 
 from ..rtl.programs import TABLE, Program, defined
 from ..sampling import sampled

@@ -12,17 +12,17 @@ import gymnasium
 import numpy as np
 import pytest
 
-from pearl_marl import registry
+from pearl_marl import envs
+from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction, call_reference
-from pearl_marl.reals import constant
-from pearl_marl.registry import get_spec
+from pearl_marl.golden.reals import constant
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import Node, in_order, values
+from pearl_marl.golden.tracing.trace import trace
 from pearl_marl.spec import EnvSpec, Field
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import Node, in_order, values
-from pearl_marl.tracing.trace import trace
 
-with mock.patch.dict(registry._specs):
+with mock.patch.dict(envs._specs):
     from examples.reals import SPECS, acrobot
 
 ENVIRONMENTS = {spec.name.removeprefix("Real"): spec for spec in SPECS}
@@ -205,7 +205,7 @@ def test_what_steps_take_against_those_written_by_hand() -> None:
     for name, spec in ENVIRONMENTS.items():
         found = cost(spec)
         print(f"{name}: {found[0]} nodes, {found[1]} multiplications, up to {found[2]} bits")
-        if name in registry.names():
+        if name in envs.names():
             nodes, multiplications, _ = cost(get_spec(name))
             print(f"    by hand: {nodes} nodes, {multiplications} multiplications")
             assert found[0] <= 1.2 * nodes

@@ -17,15 +17,15 @@ import pytest
 from gymnasium.spaces import Discrete, MultiDiscrete
 from llvmlite import ir
 
+from pearl_marl.base.cache import cache_folder
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.cache import cache_folder
 from pearl_marl.compiler import kernels, llvm_loops
 from pearl_marl.compiler.llvm_functions import Code, Column, Value, _Heap
 from pearl_marl.compiler.llvm_words import operations
 from pearl_marl.devices import BatchConfig, Native, Reference
+from pearl_marl.envs import get_spec, names
 from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Array, Bits
-from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, Golden
 
 from ..sampling import sampled

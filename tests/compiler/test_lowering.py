@@ -10,8 +10,8 @@ from pearl_marl.compiler.core_graph import Output
 from pearl_marl.compiler.lowering import lowered
 from pearl_marl.compiler.scheduling import scheduled
 from pearl_marl.compiler.targets import Target
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import Node, in_order, values
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import Node, in_order, values
 
 XC7, ECP5 = Target("xc7", 150), Target("ecp5", 150)
 

@@ -14,8 +14,8 @@ from types import ModuleType
 import pytest
 
 from pearl_marl.compiler.targets import Target
+from pearl_marl.envs import get_spec
 from pearl_marl.errors import DeviceError
-from pearl_marl.registry import get_spec
 
 from ..rtl.random_steps import random_spec
 from ..rtl.wide_steps import wide_spec

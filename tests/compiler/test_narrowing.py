@@ -6,8 +6,8 @@ import itertools
 
 import pytest
 
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import Node, values
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import Node, values
 
 
 def test_a_word_is_narrowed_down_to_what_it_can_be() -> None:

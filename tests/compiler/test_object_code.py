@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import pytest
 
-from pearl_marl import object_code
+from pearl_marl.base import object_code
 from pearl_marl.compiler import llvm_functions
 from pearl_marl.compiler.llvm_words import operations
 
@@ -25,7 +25,7 @@ STEPS = """
 import json
 import numpy as np
 import pearl_marl
-from pearl_marl import object_code
+from pearl_marl.base import object_code
 kept, called = [], object_code.called
 object_code.called = lambda text: kept.append(sorted(called(text))) or called(text)
 env = pearl_marl.parallel_env("LevelBasedForaging", 32, field_size=(5, 5), players=16)

@@ -11,10 +11,10 @@ from pearl_marl.compiler import core_graph as core_graphs
 from pearl_marl.compiler import joining, lowering, scheduling, verilog
 from pearl_marl.compiler.targets import Target
 from pearl_marl.compiler.widths import width
-from pearl_marl.registry import get_spec, names
+from pearl_marl.envs import get_spec, names
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import Node
 from pearl_marl.spec import EnvSpec
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import Node
 
 from ..rtl.random_steps import random_spec
 from ..rtl.wide_steps import FIXED, wide_spec

@@ -13,10 +13,10 @@ from pearl_marl.compiler.core_graph import Output
 from pearl_marl.compiler.lowering import lowered
 from pearl_marl.compiler.targets import Target
 from pearl_marl.golden import call_reference
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import in_order, values
 from pearl_marl.layout import Real
 from pearl_marl.spec import EnvSpec, Golden
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import in_order, values
 
 from .test_classic_control import ENVIRONMENTS, inputs, posed, traced
 from .test_straight_line import compiled

@@ -12,10 +12,10 @@ import pytest
 
 from pearl_marl.compiler import llvm_words, scalar_words
 from pearl_marl.compiler.straight_line import golden_functions, maskers, observers
+from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import Draws, Word, call_reference
 from pearl_marl.layout import Bits
-from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, Field, Golden
 
 from ..rtl.random_steps import random_spec

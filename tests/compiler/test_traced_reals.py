@@ -14,12 +14,12 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.reals import FUNCTIONS, Choice, Real, admitted, select, stored
-from pearl_marl.reals.numbers import constant
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import in_order, values
-from pearl_marl.tracing.trace import trace
-from pearl_marl.tracing.words import Word
+from pearl_marl.golden.reals import FUNCTIONS, Choice, Real, admitted, select, stored
+from pearl_marl.golden.reals.numbers import constant
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import in_order, values
+from pearl_marl.golden.tracing.trace import trace
+from pearl_marl.golden.tracing.words import Word
 
 FRACTION = 27
 MOST_BITS = 64

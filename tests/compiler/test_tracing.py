@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.tracing.graph import Graph
-from pearl_marl.tracing.nodes import arrays, values
-from pearl_marl.tracing.trace import trace
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import arrays, values
+from pearl_marl.golden.tracing.trace import trace
 
 TABLE = np.array([5, 7, 11, 13])
 GRID = [[1, 2, 3, 4], [5, 6, 7, 8]]

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 import pearl_marl
-from pearl_marl.comparison import replay as replaying
 from pearl_marl.devices import BatchConfig, Lockstep, Native, Xdma, by_name, discovery
+from pearl_marl.devices import replay as replaying
 from pearl_marl.devices.served import ServedBoard
 from pearl_marl.errors import LockstepError
 from pearl_marl.verification import replay

@@ -321,7 +321,9 @@ def test_nothing_to_recover_from() -> None:
 
 @pytest.mark.parametrize("value", [0, -1, 1.5, True])
 def test_checkpoint_every_is_checked(value: Any) -> None:
-    with pytest.raises(ArgumentError, match=f"checkpoint_every is {value}; it must be a positive integer"):
+    with pytest.raises(
+        ArgumentError, match=f"checkpoint_every is {value}; it must be an integer of at least 1"
+    ):
         Xdma(checkpoint_every=value)
 
 

@@ -14,8 +14,8 @@ from gymnasium.vector import AutoresetMode
 import pearl_marl
 from pearl_marl import verification
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.comparison.replay import Replay
 from pearl_marl.devices import BatchConfig, Device, Lockstep, Native, Reference
+from pearl_marl.devices.replay import Replay
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError, OrderError
 from pearl_marl.testing import Case, assert_same_trajectory, trajectory
 

@@ -20,7 +20,8 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import get_spec, version
+from pearl_marl import get_spec
+from pearl_marl.base import version
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Device, Lockstep, Native, Phase, Ray, Rtl, cluster, cuda
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError, OrderError

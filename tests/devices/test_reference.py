@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 
 import pearl_marl
+from pearl_marl.compiler.packing import observed_as
 from pearl_marl.devices import BatchConfig, Native, Reference, make_device
 from pearl_marl.errors import DeviceError
-from pearl_marl.packing import observed_as
 from pearl_marl.spec import EnvSpec, Field
 
 from ..toy import LADDER, SLIDE, LadderState, with_state

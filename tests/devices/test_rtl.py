@@ -16,17 +16,18 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import cache, get_spec
+from pearl_marl import get_spec
+from pearl_marl.base import cache
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Lockstep, Native, Rtl, make_device
 from pearl_marl.devices.simulator import model_build, pyverilator_model
 from pearl_marl.devices.simulator.simulation import Simulation
+from pearl_marl.envs import names
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.build import Build
 from pearl_marl.latency.cycles import draws_wait
 from pearl_marl.memory_map import MAGIC
-from pearl_marl.registry import names
 from pearl_marl.spec import EnvSpec, Field
 from pearl_marl.testing import Case, assert_same_step, assert_same_trajectory, trajectory
 
@@ -76,12 +77,12 @@ def test_device_by_name() -> None:
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"pe_num": 0}, "pe_num is 0; possible are 1 to n_envs = 7"),
+        ({"pe_num": 0}, "pe_num is 0; it must be an integer of at least 1 or None"),
         ({"pe_num": 8}, "pe_num is 8; possible are 1 to n_envs = 7"),
         ({"pe_num": 2.0}, "pe_num is 2.0; it must be an integer"),
         ({"data_wl": 48}, "data_wl is 48; possible are 32, 64"),
         ({"data_wl": True}, "data_wl is True; it must be an integer"),
-        ({"path": "front"}, "path is 'front'; possible are 'backdoor', 'axi'"),
+        ({"path": "front"}, "path is 'front'; possible are 'backdoor' and 'axi'"),
         ({"trace": "wäve.vcd"}, "it must be a file name in ASCII"),
         ({"pipelined": 0}, "pipelined is 0; it must be True or False"),
     ],

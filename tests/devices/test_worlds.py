@@ -11,13 +11,13 @@ import pytest
 from gymnasium.spaces import Box, Discrete
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl import get_spec, rng, verification
+from pearl_marl import get_spec, verification
 from pearl_marl.batch import actions
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.devices import BatchConfig, BatchStep, Cuda, Device, Lockstep, Native, Reference, Rtl, Sharded
 from pearl_marl.errors import ActionError, ArgumentError, LockstepError
-from pearl_marl.golden import call_reference
+from pearl_marl.golden import call_reference, rng
 from pearl_marl.spec import EnvSpec, Field, Role
 
 from ..sampling import sampled

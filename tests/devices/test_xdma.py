@@ -78,7 +78,7 @@ def test_devices_by_name(tmp_path: Path) -> None:
         ({"board": True}, "board is True"),
         ({"board": [0, 1]}, r"board is \[0, 1\]"),
         ({"completion": "irq"}, "completion is 'irq'; possible are 'poll', 'event' and None"),
-        ({"timeout": 0}, "timeout is 0; it must be a positive number of seconds"),
+        ({"timeout": 0}, "timeout is 0; it must be a number above 0 to below 1,000,000"),
         ({"timeout": "1"}, "timeout is '1'"),
     ],
 )

@@ -12,12 +12,11 @@ from minatar import Environment
 from scipy import stats
 
 import pearl_marl
-from pearl_marl import rng
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.envs.seaquest.spec import LAYOUT, minatar_attributes
 from pearl_marl.envs.seaquest.step import CHANCE, CHANCE_BITS, THIRD
 from pearl_marl.errors import ArgumentError
-from pearl_marl.golden import call_reference
+from pearl_marl.golden import call_reference, rng
 from pearl_marl.porting.oracle import Actions, Draws, Games, Ours, Outcome, compare
 from pearl_marl.spec import EnvSpec
 from pearl_marl.testing import assert_same_play, compare_pictures, first_episodes

@@ -11,11 +11,11 @@ import pytest
 
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Native
+from pearl_marl.envs import get_spec
 from pearl_marl.envs.connect_four.step import COLUMNS, ROWS
 from pearl_marl.errors import ArgumentError
 from pearl_marl.experiments import self_play
 from pearl_marl.experiments.perfect_play import DRAW, ILLEGAL, LOSS, WIN, Judge
-from pearl_marl.registry import get_spec
 
 SPEC = get_spec("ConnectFour")
 

@@ -12,13 +12,13 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from pearl_marl.base.files import claimed
 from pearl_marl.cli import app
+from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.files import claimed
 from pearl_marl.hardware import boards, elaboration, toolchain
 from pearl_marl.hardware.boards import BOARDS, Board
 from pearl_marl.memory_map import MAGIC, Control, default_map
-from pearl_marl.registry import get_spec
 
 SPEC = get_spec("CliffWalking")
 ULX3S = BOARDS["ulx3s"]

@@ -9,15 +9,15 @@ import re
 import pytest
 from typer.testing import CliRunner
 
-from pearl_marl.cache import keep
+from pearl_marl.base.cache import keep
 from pearl_marl.cli import app
+from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, fitting, synthesis, toolchain
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.hardware.synthesis import Family, Memory, Usage
 from pearl_marl.memory_map import default_map, memory_map
-from pearl_marl.registry import get_spec, names
 
 SPEC = get_spec("CliffWalking")
 # One processing element makes deep memories and little logic: the quickest build with a large memory.
@@ -96,7 +96,7 @@ def test_large_memories_have_to_be_block_ram(memory: Memory, misplaced: bool) ->
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--fit", "vc708"], "there is no part 'vc708'; possible are vc707"),
+        (["--fit", "vc708"], "--fit is 'vc708'; possible are 'vc707'"),
         (["--fit", "vc707", "--part", "ecp5"], "--fit is for 7-series parts"),
         (["--confirm"], "name a part with --fit"),
         (["--n-envs", "many"], "--n-envs many is no list of numbers"),

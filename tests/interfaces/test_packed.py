@@ -7,8 +7,8 @@ import pytest
 
 import pearl_marl
 from pearl_marl.batch.actions import random_actions
+from pearl_marl.compiler.packing import row_dtype
 from pearl_marl.errors import ArgumentError
-from pearl_marl.packing import row_dtype
 
 PACKING = [name for name in pearl_marl.list_envs() if pearl_marl.get_spec(name).unpack is not None]
 

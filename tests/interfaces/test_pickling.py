@@ -349,7 +349,7 @@ def users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     (tmp_path / "users_environments.py").write_text(USERS)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    monkeypatch.setattr(pearl_marl.registry, "_specs", dict(pearl_marl.registry._specs))
+    monkeypatch.setattr(pearl_marl.envs, "_specs", dict(pearl_marl.envs._specs))
     yield "users_environments"
     sys.modules.pop("users_environments", None)
 

@@ -12,7 +12,7 @@ from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode
 
 import pearl_marl
-from pearl_marl import registry
+from pearl_marl import envs
 from pearl_marl.errors import ArgumentError
 from pearl_marl.layout import Range
 from pearl_marl.spec import EnvSpec, Golden
@@ -51,7 +51,7 @@ SPEEDS = np.array([1, 2, 3, 4, 4, 2])
 
 @pytest.fixture(autouse=True)
 def runner() -> Iterator[None]:
-    with mock.patch.dict(registry._specs):
+    with mock.patch.dict(envs._specs):
         pearl_marl.register(SPEC)
         yield
 

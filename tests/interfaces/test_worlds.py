@@ -15,7 +15,7 @@ from pettingzoo.classic import connect_four_v3
 from pettingzoo.test import api_test, parallel_api_test
 
 import pearl_marl
-from pearl_marl import registry
+from pearl_marl import envs
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
 
 from ..toy_world import HARE, SNAIL, WORLDS
@@ -26,7 +26,7 @@ DEVICES = ("reference", "native")
 
 @pytest.fixture(autouse=True)
 def world_toys() -> Iterator[None]:
-    with mock.patch.dict(registry._specs):
+    with mock.patch.dict(envs._specs):
         for spec in WORLDS:
             pearl_marl.register(spec)
         yield

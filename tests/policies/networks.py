@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from pearl_marl.elements import bounds
 from pearl_marl.policies.device_policy import Array
 from pearl_marl.policies.integer_network import (
     ENTRIES,
@@ -17,6 +16,7 @@ from pearl_marl.policies.integer_network import (
     Scaling,
 )
 from pearl_marl.spec import EnvSpec
+from pearl_marl.spec.elements import bounds
 
 TANH = np.round(127 * np.tanh((np.arange(ENTRIES) - ENTRIES / 2 + 0.5) / 100)).astype(np.int16)
 CHANCES = np.round(65535 * np.exp(-np.arange(ENTRIES) / 90)).astype(np.int32)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import pearl_marl
-from pearl_marl.elements import bounds
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.device_policy import Array
 from pearl_marl.policies.integer_loops import TILE, compiled_act, prepared
 from pearl_marl.policies.integer_network import Dense, Head, IntegerNetwork, Scaling
 from pearl_marl.spec import EnvSpec
+from pearl_marl.spec.elements import bounds
 
 from .networks import random_network
 

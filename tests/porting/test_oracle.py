@@ -166,7 +166,7 @@ def test_pictures(drawn: Callable[[Any], Any], fits: bool, monkeypatch: pytest.M
     def call() -> None:
         compare_pictures(SPEC, "rgb_array", drawn, [1] * 5, different=4, device="reference")
 
-    monkeypatch.setattr("pearl_marl.registry.get_spec", lambda name: SPEC)
+    monkeypatch.setattr("pearl_marl.envs.get_spec", lambda name: SPEC)
     monkeypatch.setattr("pearl_marl.interfaces.parallel.get_spec", lambda name: SPEC)
     if fits:
         call()

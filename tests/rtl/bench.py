@@ -93,7 +93,7 @@ def spec_of(name: str, options: dict[str, Any]) -> Any:
         from wide_steps import wide_spec
 
         return wide_spec(options["number"])
-    from pearl_marl.registry import get_spec
+    from pearl_marl.envs import get_spec
 
     return get_spec(name).with_options(**options)
 

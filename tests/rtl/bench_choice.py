@@ -10,7 +10,7 @@ from bench_network import packed
 from cocotb.triggers import FallingEdge, ReadOnly
 from random_policies import as_greatest, random_table
 
-from pearl_marl.registry import get_spec
+from pearl_marl.envs import get_spec
 
 DRAW_LATENCY = 11
 ENVIRONMENTS = {2: "Blackjack", 4: "CliffWalking", 6: "Taxi"}

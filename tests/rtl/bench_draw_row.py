@@ -9,8 +9,7 @@ import numpy as np
 from bench import each_variant, start
 from cocotb.triggers import FallingEdge
 
-from pearl_marl import rng
-from pearl_marl.golden import u32
+from pearl_marl.golden import rng, u32
 
 DRAW_LATENCY = 11
 

@@ -9,11 +9,11 @@ from bench import each_variant, start
 from cocotb.triggers import FallingEdge, ReadOnly
 from random_policies import random_layers
 
+from pearl_marl.envs import get_spec
 from pearl_marl.hardware.policy_words import policy_words
 from pearl_marl.latency.rollouts import batch_cycles
 from pearl_marl.memory_map import Engine, Section
 from pearl_marl.policies.integer_network import Head, IntegerNetwork, Scaling
-from pearl_marl.registry import get_spec
 
 
 def packed(values: Any, bits: int) -> int:

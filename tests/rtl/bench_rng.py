@@ -9,8 +9,7 @@ import numpy as np
 from bench import each_variant, start
 from cocotb.triggers import ClockCycles, FallingEdge
 
-from pearl_marl import rng
-from pearl_marl.golden import u32, u64
+from pearl_marl.golden import rng, u32, u64
 
 EDGES = (0, 0xFFFFFFFE, 0xFFFFFFFF, 1 << 32, (1 << 64) - 1)
 # Cycles of a round.

@@ -132,7 +132,9 @@ async def identity_is_readable(dut: Any) -> None:
     assert words[Control.PE_NUM] == LAYOUT.pe_num
     assert words[Control.DATA_WL] == LAYOUT.data_wl
     assert words[Control.STATE_BITS] == word_bits(SPEC.state)
-    assert words[Control.RESULT_BITS] == SPEC.agents * (word_bits(SPEC.seen) + SPEC.reward.bits + 1) + 1
+    assert (
+        words[Control.RESULT_BITS] == SPEC.agents * (word_bits(SPEC.agent_fields) + SPEC.reward.bits + 1) + 1
+    )
     assert words[Control.SEED_0 :] == (0,) * 8
 
 

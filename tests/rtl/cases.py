@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from pearl_marl.compiler.core_graph import core_graph
-from pearl_marl.elements import bounds
 from pearl_marl.golden import call_reference
+from pearl_marl.golden.tracing.nodes import Node
 from pearl_marl.spec import TERMINATED, EnvSpec, Field
-from pearl_marl.tracing.nodes import Node
+from pearl_marl.spec.elements import bounds
 
 
 def split(words: list[int], fields: tuple[Field, ...]) -> list[np.ndarray]:
@@ -70,7 +70,7 @@ def golden(
     observed = [word for view, agent in views for word in call_reference(view, after, *agent)]
     return {
         "state_o": join(after, spec.state, n),
-        "obs_o": join(observed, spec.seen * spec.agents, n),
+        "obs_o": join(observed, spec.agent_fields * spec.agents, n),
         "reward_o": join(rewards, (spec.reward,) * spec.agents, n),
         "terminated_o": join(ends, (TERMINATED,) * spec.agents, n),
     }

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl import rng
-from pearl_marl.golden import call_reference
+from pearl_marl.golden import call_reference, rng
 from pearl_marl.hardware.codec import pack, stream_bytes, unpack
 from pearl_marl.memory_map import ELAPSED_BITS, MemoryMap, Mode, Region, ter_bits
 from pearl_marl.spec import EnvSpec, Field
@@ -107,7 +106,10 @@ class Model:
             for word in call_reference(view, self.states, *agent)
         ]
         columns = {
-            "observations": (spec.seen * spec.agents, [np.broadcast_to(word, n) for word in observed]),
+            "observations": (
+                spec.agent_fields * spec.agents,
+                [np.broadcast_to(word, n) for word in observed],
+            ),
             "rewards": (spec.each_agent(spec.reward), [np.where(hold, 0, reward) for reward in rewards]),
             "ters": (self.ter, [self.ters]),
         }

@@ -18,11 +18,11 @@ from linters import lint
 
 from pearl_marl.devices import BatchConfig, Lockstep, Native, Serial
 from pearl_marl.devices.serial import SerialTransport
+from pearl_marl.envs import get_spec
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import boards, toolchain
 from pearl_marl.hardware.boards import BOARDS, Board
 from pearl_marl.hardware.build import Build
-from pearl_marl.registry import get_spec
 from pearl_marl.verification import runs, verify
 
 SPEC = get_spec("CliffWalking")

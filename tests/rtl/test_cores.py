@@ -26,11 +26,11 @@ from pearl_marl.compiler.lowering import lowered
 from pearl_marl.compiler.scheduling import scheduled
 from pearl_marl.compiler.targets import FAMILIES, Target
 from pearl_marl.compiler.widths import width
+from pearl_marl.envs import get_spec
+from pearl_marl.golden.tracing.nodes import values
 from pearl_marl.hardware import elaboration
 from pearl_marl.layout import Array, Range
-from pearl_marl.registry import get_spec
 from pearl_marl.spec import EnvSpec, Golden
-from pearl_marl.tracing.nodes import values
 
 TARGETS = [Target(name, mhz) for name in FAMILIES for mhz in (40, 150, 300)]
 

@@ -12,12 +12,12 @@ from bench import spec_of
 from harness import HERE, Design, whole
 
 from pearl_marl import memory_map
+from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, policy_words, toolchain
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import Engine
 from pearl_marl.policies import device_policy
-from pearl_marl.registry import get_spec, names
 from pearl_marl.spec import EnvSpec, word_bits
 
 SIZES = [(1000, 16, 64), (7, 4, 32), (1, 1, 32)]

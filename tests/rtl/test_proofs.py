@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 from harness import BUS, HERE
 
+from pearl_marl.envs import get_spec
 from pearl_marl.hardware import elaboration, toolchain
-from pearl_marl.registry import get_spec
 from tests.sampling import sampled
 
 FORMAL = HERE / "formal"

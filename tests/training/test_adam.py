@@ -10,8 +10,8 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import Categorical, Normal
 
+from pearl_marl.envs import get_spec
 from pearl_marl.policies.network import Network
-from pearl_marl.registry import get_spec
 from pearl_marl.training.actor_critic import ActorCritic
 from pearl_marl.training.adam import Adam
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pearl_marl import files
+from pearl_marl.base import files
 from pearl_marl.errors import ArgumentError, DeviceError
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")

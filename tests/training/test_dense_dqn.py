@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import torch
 
-from pearl_marl.registry import get_spec
+from pearl_marl.envs import get_spec
 from pearl_marl.training.dqn import Minibatch
 from pearl_marl.training.run import ALGORITHMS, settings_for
 

@@ -9,16 +9,16 @@ import pytest
 import torch
 from torch import Tensor
 
-from pearl_marl.registry import get_spec
+from pearl_marl.envs import get_spec
 from pearl_marl.training import dense_ppo
 from pearl_marl.training.dense_ppo import CompiledGradients, fits
-from pearl_marl.training.rollout import Rollout
+from pearl_marl.training.rollout import RolloutBuffer
 from pearl_marl.training.run import ALGORITHMS, settings_for
 
 ROWS = 200
 
 
-def trainer_with_samples(algorithm: str, env_id: str) -> tuple[Any, Rollout, Tensor]:
+def trainer_with_samples(algorithm: str, env_id: str) -> tuple[Any, RolloutBuffer, Tensor]:
     """A trainer far from its first weights, with a rollout of other ones, and rows of it to learn from."""
     spec = get_spec(env_id)
     small = {"n_agents": 64, "rollout_length": 8, "minibatch": ROWS, "entropy": 0.05}
@@ -34,7 +34,9 @@ def trainer_with_samples(algorithm: str, env_id: str) -> tuple[Any, Rollout, Ten
     return trainer, samples._replace(log_probs=moved), rows[torch.randperm(len(rows))[:ROWS]]
 
 
-def compiled_and_wanted(trainer: Any, samples: Rollout, rows: Tensor) -> list[tuple[Tensor, list[Tensor]]]:
+def compiled_and_wanted(
+    trainer: Any, samples: RolloutBuffer, rows: Tensor
+) -> list[tuple[Tensor, list[Tensor]]]:
     settings, results = trainer.settings, []
     compiled = CompiledGradients(trainer.model, samples, settings.clip, settings.entropy)
     for gradients in (compiled, partial(trainer.gradients, samples)):

@@ -7,7 +7,7 @@ import os
 import pytest
 import torch
 
-from pearl_marl.registry import get_spec
+from pearl_marl.envs import get_spec
 from pearl_marl.training.run import settings_for
 from pearl_marl.training.trainer import threads_for
 

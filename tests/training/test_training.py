@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 
 from pearl_marl.devices import BatchStep
+from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation.episodes import EpisodeStatistics
 from pearl_marl.interfaces.parallel import parallel_env
 from pearl_marl.policies.loading import load_policy
-from pearl_marl.registry import get_spec
 
 from ..sampling import sampled
 

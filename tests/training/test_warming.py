@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from numba.core import event
 
-from pearl_marl.registry import get_spec
+from pearl_marl.envs import get_spec
 from pearl_marl.training.run import ALGORITHMS, settings_for
 from pearl_marl.training.warming import warm_training
 

@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
+from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.registry import get_spec
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 ray = pytest.importorskip("ray", reason="Ray is not installed: pip install '.[ray]'")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import pearl_marl
-from pearl_marl import registry
+from pearl_marl import envs
 from pearl_marl.errors import ArgumentError
 from pearl_marl.wrappers import agent_indicator_v0, dtype_v0, flatten_v0, pad_observations_v0
 
@@ -32,7 +32,7 @@ from pearl_marl.wrappers import benchmarl_task
 def _surroundings() -> Iterator[None]:
     before = torch.get_num_threads()
     torch.set_num_threads(1)
-    with mock.patch.dict(registry._specs), warnings.catch_warnings():
+    with mock.patch.dict(envs._specs), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # TorchRL and BenchMARL tell of their own coming changes
         for spec in (MEADOW, NIM):
             pearl_marl.register(spec)

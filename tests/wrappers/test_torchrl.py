@@ -11,7 +11,7 @@ import pytest
 from gymnasium.spaces import Discrete, Tuple
 
 import pearl_marl
-from pearl_marl import registry
+from pearl_marl import envs
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
 from pearl_marl.golden import reference
 from pearl_marl.wrappers import agent_indicator_v0, dtype_v0, flatten_v0, frame_skip_v0, frame_stack_v1
@@ -33,7 +33,7 @@ from pearl_marl.wrappers import to_torchrl
 
 @pytest.fixture(autouse=True)
 def toys() -> Iterator[None]:
-    with mock.patch.dict(registry._specs):
+    with mock.patch.dict(envs._specs):
         for spec in (*TOYS, *FIELDS, *WORLDS, crowd(4)):
             pearl_marl.register(spec)
         yield

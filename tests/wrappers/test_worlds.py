@@ -12,7 +12,7 @@ import supersuit
 from gymnasium.spaces import Box, Dict, Discrete
 
 import pearl_marl
-from pearl_marl import registry, wrappers
+from pearl_marl import envs, wrappers
 from pearl_marl.batch.actions import random_allowed
 from pearl_marl.batch.step import BatchStep
 from pearl_marl.errors import ActionError, ArgumentError
@@ -25,7 +25,7 @@ N, K = 12, 4
 
 @pytest.fixture(autouse=True)
 def world_toys() -> Iterator[None]:
-    with mock.patch.dict(registry._specs):
+    with mock.patch.dict(envs._specs):
         for spec in (*WORLDS, crowd(4)):
             pearl_marl.register(spec)
         yield

@@ -23,7 +23,7 @@ from torch.distributions import Categorical
 from pearl_marl.benchmark.peers import quiet_spaces
 from pearl_marl.benchmark.training import TrainingTask
 from pearl_marl.benchmark.watch import Watch
-from pearl_marl.registry import get_spec
+from pearl_marl.envs import get_spec
 
 
 class Normalised:

@@ -6,7 +6,7 @@ from typing import Any
 
 from pearl_marl.benchmark.training import TrainingTask
 from pearl_marl.benchmark.watch import Watch
-from pearl_marl.registry import get_spec
+from pearl_marl.envs import get_spec
 from pearl_marl.training.run import ALGORITHMS
 
 FIRST = {"ppo": 1, "dqn": 11}

@@ -18,10 +18,10 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from pearl_marl.cache import cache_folder, checksum, keep, kept, locked
+from pearl_marl.base.cache import cache_folder, checksum, keep, kept, locked
+from pearl_marl.base.files import write_whole
 from pearl_marl.devices.simulator import pyverilator_model
 from pearl_marl.errors import DeviceError
-from pearl_marl.files import write_whole
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import MemoryMap

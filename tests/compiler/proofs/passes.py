@@ -14,8 +14,8 @@ import z3
 
 from pearl_marl.compiler.core_graph import Output
 from pearl_marl.compiler.widths import WIRES
-from pearl_marl.tracing.nodes import Node, in_order
-from pearl_marl.tracing.operations import word_range
+from pearl_marl.golden.tracing.nodes import Node, in_order
+from pearl_marl.golden.tracing.operations import word_range
 
 from . import polynomials
 from .polynomials import Polynomial, polynomial

@@ -10,7 +10,7 @@ from collections.abc import Callable, Hashable
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from pearl_marl.tracing.nodes import Node
+from pearl_marl.golden.tracing.nodes import Node
 
 Polynomial = dict[tuple[Hashable, ...], int]
 """The factor of each product of atoms; an atom is whatever it is known by."""

@@ -16,8 +16,8 @@ import z3
 from pearl_marl.compiler.core_graph import Output
 from pearl_marl.compiler.expressions import Expressions
 from pearl_marl.compiler.scheduling import Schedule
+from pearl_marl.golden.tracing.nodes import Node
 from pearl_marl.spec import EnvSpec, word_bits
-from pearl_marl.tracing.nodes import Node
 
 from .netlist import Netlist
 from .words import always, fitted, in_range, operation, size

@@ -7,7 +7,7 @@ from typing import Any
 
 import z3
 
-from pearl_marl.tracing.nodes import Node
+from pearl_marl.golden.tracing.nodes import Node
 
 EFFORT = 3_000_000
 """What z3 may spend on one question, by its own count, which is the same on every machine."""

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 // Keys that are any, and there whenever they are; a draw in which slot and keys can be told apart, and
-// nothing is multiplied. What they are in truth, a bench compares with pearl_marl/rng.py.
+// nothing is multiplied. What they are in truth, a bench compares with pearl_marl/golden/rng.py.
 module pearl_rng #(
     parameter int unsigned DRAWS = 1
 ) (

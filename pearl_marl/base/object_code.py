@@ -1,0 +1,72 @@
+"""Machine code of functions that LLVM compiles by themselves, for code that Numba compiles to call.
+
+Numba compiles a whole kernel at once, and optimizes it two to three times. That takes much longer than to
+optimize each of its long functions once, and two kernels that call the same function compile it twice. Here a
+function is compiled once in a process, and the code that calls it names its symbol. Files of such code hold
+the functions that they call, too: see :mod:`pearl_marl.base.machine_code`.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import re
+from typing import Any
+
+import llvmlite.binding as llvm
+import numba
+from numba.core.registry import cpu_target
+
+CONFIG: Any = numba.config
+
+PREFIX = "pearl_function_"
+"""With what the symbols begin; a hash of the function's instructions follows."""
+
+_objects: dict[str, bytes] = {}
+"""The object code of each symbol that code of this process can call."""
+
+
+def compiled(text: str, name: str) -> str:
+    """Compile the function of that name in LLVM's text of a module; return the symbol to call it by."""
+    symbol = f"{PREFIX}{hashlib.sha256(text.encode()).hexdigest()[:32]}"
+    if symbol not in _objects:
+        module = llvm.parse_assembly(text.replace(f'@"{name}"', f'@"{symbol}"'))
+        module.verify()  # or LLVM ends the process where something is wrong
+        _, machine = _engine()
+        module.data_layout = str(machine.target_data)
+        tuning = llvm.create_pipeline_tuning_options(speed_level=3)
+        tuning.loop_vectorization = True
+        builder = llvm.create_pass_builder(machine, tuning)
+        builder.getModulePassManager().run(module, builder)
+        add({symbol: machine.emit_object(module)})
+    return symbol
+
+
+def called(text: str) -> dict[str, bytes]:
+    """Return the object code of the symbols that LLVM's text of a module names."""
+    return {symbol: _objects[symbol] for symbol in sorted(set(re.findall(PREFIX + "[0-9a-f]{32}", text)))}
+
+
+def add(objects: dict[str, bytes]) -> None:
+    """Let the code of this process call functions that have been compiled, here or elsewhere."""
+    for symbol, code in objects.items():
+        if symbol not in _objects:
+            engine, _ = _engine()
+            engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+            engine.finalize_object()
+            llvm.add_symbol(symbol, engine.get_function_address(symbol))
+            _objects[symbol] = code
+
+
+@functools.cache
+def _engine() -> tuple[Any, Any]:
+    """Return what holds the machine code, and what makes it: of the kind that Numba's code is."""
+    triple, processor, features = cpu_target.target_context.codegen().magic_tuple()
+    target = llvm.Target.from_triple(triple)
+
+    def machine() -> Any:
+        return target.create_target_machine(processor, features, int(CONFIG.OPT), jit=True)
+
+    empty = llvm.parse_assembly(f'target triple = "{triple}"')
+    lmm = CONFIG.USE_LLVMLITE_MEMORY_MANAGER
+    return llvm.create_mcjit_compiler(empty, machine(), use_lmm=lmm), machine()

@@ -1,0 +1,4 @@
+"""From a golden function to the graph of what it does, and what is wrong with it.
+
+May import ``rebinding`` and what is below ``golden``.
+"""

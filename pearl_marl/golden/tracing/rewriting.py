@@ -1,0 +1,688 @@
+"""An author's function as Python to be traced: every decision on a word becomes a call of a :class:`Frame`.
+
+Python decides by values, and a word has none before hardware runs. So a function is compiled once more from
+its source, in which an ``if`` runs both its sides and joins what they leave behind, a loop joins what its
+rounds leave, and ``return``, ``break`` and ``continue`` note under which condition they were reached. Each
+statement stands there once, so what is traced grows with the length of the function, not with its number of
+paths.
+
+Lines stay the author's. :mod:`pearl_marl.golden.tracing.runtime` is what the calls do.
+"""
+
+from __future__ import annotations
+import __future__
+
+import ast
+import builtins
+import copy
+import functools
+import inspect
+import linecache
+import types
+from collections.abc import Iterator, Sequence
+from typing import Any, NoReturn, TypeVar
+
+from pearl_marl.base.source_lines import source_line
+from pearl_marl.errors import ArgumentError
+
+RUNTIME = "__pearl__"
+"""The name by which rewritten functions know :class:`pearl_marl.golden.tracing.runtime.Runtime`."""
+_FRAME = "_pearl_frame"
+
+_Node = TypeVar("_Node", bound=ast.AST)
+
+
+class Refusal(ArgumentError):  # noqa: N818 - no error of its own, but one that is said already
+    """What names its line already."""
+
+
+@functools.lru_cache(1 << 12)
+def rewritten(code: types.CodeType) -> types.CodeType:
+    """Return the code of a function whose decisions are calls; its own where no source is at hand.
+
+    Raises
+    ------
+    ArgumentError
+        The function does what cannot be traced, such as ``yield``, or its file says something else by now;
+        names the file and the line.
+    """
+    if code.co_flags & (inspect.CO_COROUTINE | inspect.CO_ASYNC_GENERATOR):
+        where = source_line(code.co_filename, code.co_firstlineno)
+        raise Refusal(f"{where}: golden functions have no `async`")
+    found = copy.deepcopy(_source_of(code))
+    if found is None:
+        return code
+    if isinstance(found, ast.Lambda):
+        found = _named(found)
+    elif _has_changed(found, code):
+        raise Refusal(
+            f"{source_line(code.co_filename, code.co_firstlineno)}: {code.co_name}() is not what its file "
+            "says; the file has changed since it was imported: start Python anew"
+        )
+    new = _Function(code.co_filename).of(found)
+    return _compiled(new, code)
+
+
+def _has_changed(node: ast.FunctionDef, code: types.CodeType) -> bool:
+    """Return whether a definition is not what code was compiled from."""
+    # A test's `assert` is another statement where pytest runs it.
+    if any(isinstance(inner, ast.Assert) for inner in ast.walk(node)):
+        return False
+    now = _codes(code.co_filename, code.co_flags & __future__.annotations.compiler_flag)
+    found = now.get((code.co_qualname, code.co_firstlineno))
+    return found is not None and not _same(found, code)
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Return whether two functions run the same instructions on the same constants."""
+    if not isinstance(one, types.CodeType) or not isinstance(other, types.CodeType):
+        return type(one) is type(other) and bool(one == other)
+    if one.co_code != other.co_code or one.co_names != other.co_names:
+        return False
+    return len(one.co_consts) == len(other.co_consts) and all(map(_same, one.co_consts, other.co_consts))
+
+
+def _codes(file: str, flags: int) -> dict[tuple[str, int], types.CodeType]:
+    """Return all functions that a file makes now, by their qualified names and lines."""
+    text = "".join(linecache.getlines(file))
+    key = file, text, flags
+    if key not in _COMPILED:
+        found: dict[tuple[str, int], types.CodeType] = {}
+        left: list[Any] = [compile(text, file, "exec", flags, dont_inherit=True)]
+        while left:
+            code = left.pop()
+            found[code.co_qualname, code.co_firstlineno] = code
+            left += (constant for constant in code.co_consts if isinstance(constant, types.CodeType))
+        _COMPILED[key] = found
+    return _COMPILED[key]
+
+
+_COMPILED: dict[tuple[str, str, int], dict[tuple[str, int], types.CodeType]] = {}
+
+
+def _source_of(code: types.CodeType) -> ast.FunctionDef | ast.Lambda | None:
+    """Return the definition that code was compiled from."""
+    found = [node for node in _definitions(code.co_filename) if _matches(node, code)]
+    return found[0] if len(found) == 1 else None
+
+
+def _matches(node: ast.FunctionDef | ast.Lambda, code: types.CodeType) -> bool:
+    if isinstance(node, ast.Lambda):
+        if code.co_name != "<lambda>" or node.lineno != code.co_firstlineno:
+            return False
+        # Several in one line are told apart by where their bodies stand.
+        places = {(line, column) for line, _, column, _ in code.co_positions()}
+        return (node.body.lineno, node.body.col_offset) in places
+    first = min((node.lineno, *(d.lineno for d in node.decorator_list)))
+    return node.name == code.co_name and first == code.co_firstlineno
+
+
+_PARSED: dict[tuple[str, str], list[ast.FunctionDef | ast.Lambda]] = {}
+
+
+def _definitions(file: str) -> list[ast.FunctionDef | ast.Lambda]:
+    """Return all functions that a file defines; none where it cannot be read."""
+    text = "".join(linecache.getlines(file))
+    if (file, text) not in _PARSED:
+        try:
+            tree = ast.parse(text)
+        except SyntaxError:
+            return []
+        kinds = (ast.FunctionDef, ast.Lambda)
+        _PARSED[file, text] = [node for node in ast.walk(tree) if isinstance(node, kinds)]
+    return _PARSED[file, text]
+
+
+def _named(node: ast.Lambda) -> ast.FunctionDef:
+    """Return a lambda as a function of a statement."""
+    body = ast.copy_location(ast.Return(node.body), node.body)
+    new = ast.FunctionDef("_lambda", node.args, [body], [], None, None)
+    if "type_params" in ast.FunctionDef._fields:
+        new.type_params = []  # type: ignore[attr-defined]
+    return ast.copy_location(new, node)
+
+
+def _compiled(node: ast.FunctionDef, code: types.CodeType) -> types.CodeType:
+    """Compile a function whose free names are those of ``code``."""
+    # A function around it has its free names, so that they are free here, too.
+    outer = ast.parse("def _outer(): return 0").body[0]
+    assert isinstance(outer, ast.FunctionDef)
+    outer.args.args = [ast.arg(name) for name in code.co_freevars]
+    outer.body = [node, *outer.body]
+    # By its own name it would be a variable there, and what calls itself names itself as its module does.
+    node.name, node.decorator_list = "_pearl_function", []
+    module = ast.fix_missing_locations(ast.Module([outer], []))
+    whole = compile(module, code.co_filename, "exec", dont_inherit=True)
+    inner = _constants(_constants(whole, "_outer"), node.name)
+    return inner.replace(co_name=code.co_name, co_qualname=code.co_qualname)
+
+
+def _constants(code: types.CodeType, name: str) -> types.CodeType:
+    return next(c for c in code.co_consts if isinstance(c, types.CodeType) and c.co_name == name)
+
+
+def _stored(nodes: Sequence[ast.AST]) -> list[str]:
+    """Return the names that statements bind, in order, and not those that functions inside them do."""
+    names: dict[str, None] = {}
+
+    def visit(node: ast.AST) -> None:
+        match node:
+            case ast.FunctionDef() | ast.ClassDef() | ast.AsyncFunctionDef():
+                names[node.name] = None
+                for inner in ast.walk(node):
+                    if isinstance(inner, ast.Nonlocal):
+                        names.update(dict.fromkeys(inner.names))
+                return
+            case ast.Lambda():
+                return
+            case ast.ListComp() | ast.SetComp() | ast.DictComp() | ast.GeneratorExp():
+                # Only `:=` inside binds a name of the function.
+                for inner in ast.walk(node):
+                    if isinstance(inner, ast.NamedExpr):
+                        names[inner.target.id] = None
+                return
+            case ast.Name(ctx=ast.Store()):
+                names[node.id] = None
+        for child in ast.iter_child_nodes(node):
+            visit(child)
+
+    for node in nodes:
+        visit(node)
+    return list(names)
+
+
+def _inside(nodes: Sequence[ast.AST]) -> Iterator[ast.AST]:
+    """Yield statements and those inside them, without those of functions."""
+    for node in nodes:
+        yield node
+        if not isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            yield from _inside([*getattr(node, "body", ()), *getattr(node, "orelse", ())])
+
+
+def _leaves(nodes: Sequence[ast.AST]) -> bool:
+    """Return whether statements may leave what is around them: by a return, a break or a continue."""
+    return any(isinstance(node, (ast.Return, ast.Break, ast.Continue)) for node in _inside(nodes))
+
+
+class _Function:
+    """Rewrites one function."""
+
+    def __init__(self, file: str) -> None:
+        self.file, self.count, self.loops = file, 0, list[tuple[str, list[str]]]()
+        self.unbound: list[str] = []
+        """Variables that some path may leave without a value."""
+
+    def of(self, node: ast.FunctionDef) -> ast.FunctionDef:
+        """Return the function with its decisions as calls."""
+        body = node.body
+        joined = [s for s in _inside(body) if isinstance(s, (ast.If, ast.For, ast.While))]
+        own = {a.arg for a in _arguments(node.args)}
+        elsewhere = {n for s in _inside(body) if isinstance(s, (ast.Nonlocal, ast.Global)) for n in s.names}
+        self.unbound = [n for n in _stored(joined) if n not in own | elsewhere]
+        # Annotations are for readers, and may name what is known to a type checker only.
+        new = ast.FunctionDef(node.name, _plain(node.args), [], [], None, None)
+        if "type_params" in ast.FunctionDef._fields:
+            new.type_params = []  # type: ignore[attr-defined]
+        statements = [_statement(f"{_FRAME} = {RUNTIME}.frame()", node)]
+        statements += [_statement(f"{n} = {RUNTIME}.unbound({n!r})", node) for n in self.unbound]
+        expressions = _Expressions(self)
+        new.args = expressions.visit(new.args)
+        statements += self.block(body, expressions)
+        statements.append(_statement(f"return {_FRAME}.result()", body[-1]))
+        new.body = statements
+        return ast.copy_location(new, node)
+
+    def name(self, kind: str) -> str:
+        """Return a new name."""
+        self.count += 1
+        return f"_pearl_{kind}_{self.count}"
+
+    def refuse(self, node: ast.AST, why: str) -> NoReturn:
+        """Raise ArgumentError for a line."""
+        raise Refusal(f"{source_line(self.file, getattr(node, 'lineno', 1))}: {why}")
+
+    def block(self, statements: Sequence[ast.stmt], expressions: _Expressions) -> list[ast.stmt]:
+        """Return statements of which those after a possible exit run only if something is left to run."""
+        result: list[ast.stmt] = []
+        for k, statement in enumerate(statements):
+            result += self.statement(statement, expressions)
+            if isinstance(statement, (ast.Return, ast.Break, ast.Continue)):
+                break
+            rest = statements[k + 1 :]
+            if rest and isinstance(statement, (ast.If, ast.For, ast.While)) and _leaves([statement]):
+                guard = _statement(f"if {_FRAME}.lives(): pass", statement)
+                assert isinstance(guard, ast.If)
+                guard.body = self.block(rest, expressions)
+                return [*result, guard]
+        return result
+
+    def statement(self, node: ast.stmt, expressions: _Expressions) -> list[ast.stmt]:
+        """Return the statements that take the place of one."""
+        match node:
+            case ast.Return():
+                value = expressions.visit(node.value) if node.value else ast.Constant(None)
+                return [_call(f"{_FRAME}.returns", [value], node)]
+            case ast.If():
+                return self.branch(node, expressions)
+            case ast.While():
+                return self.while_(node, expressions)
+            case ast.For():
+                return self.for_(node, expressions)
+            case ast.Break() | ast.Continue():
+                loop, names = self.loops[-1]
+                verb = "breaks" if isinstance(node, ast.Break) else "continues"
+                return [_call(f"{loop}.{verb}", [_tuple(names)], node)]
+            case ast.FunctionDef():
+                inner = _Function(self.file).of(node)
+                inner.decorator_list = [expressions.visit(d) for d in node.decorator_list]
+                return [inner]
+            case ast.Assign() if any(map(_has_parts, node.targets)):
+                return self.stores(node, expressions)
+            case ast.AugAssign() if isinstance(node.target, (ast.Subscript, ast.Attribute)):
+                return self.changes(node, expressions)
+            case ast.AugAssign(target=ast.Name(id=name)):
+                # In place, a list would grow.
+                return [
+                    _call(f"{RUNTIME}.growing", [ast.Name(name, ast.Load())], node),
+                    expressions.visit(node),
+                ]
+            case ast.Delete():
+                return self.removal(node, expressions)
+            case ast.AnnAssign():
+                if node.value is None:
+                    return [_statement("pass", node)]
+                plain = ast.copy_location(ast.Assign([node.target], node.value), node)
+                return self.statement(plain, expressions)
+            case ast.Assert():
+                return [_call(f"{RUNTIME}.asserts", [expressions.visit(node.test)], node)]
+            case ast.Raise():
+                return [_call(f"{RUNTIME}.raises", [], node), expressions.visit(node)]
+            case ast.Nonlocal() | ast.Global():
+                self.refuse(
+                    node, f"`{node.names[0]}` of a function around it is assigned to; return it instead"
+                )
+            case ast.Import() | ast.ImportFrom():
+                self.refuse(node, "golden functions have no `import`; import where the file begins")
+            case ast.Match():
+                self.refuse(node, "golden functions have no `match`; use `if`, `elif` and `else`")
+            case ast.Try() | ast.With() | ast.AsyncFor() | ast.AsyncWith() | ast.AsyncFunctionDef():
+                word = (
+                    type(node).__name__.lower().removeprefix("async").removesuffix("functiondef") or "async"
+                )
+                self.refuse(node, f"golden functions have no `{word}`")
+        new = expressions.visit(node)
+        assert isinstance(new, ast.stmt)
+        return [new]
+
+    def removal(self, node: ast.Delete, expressions: _Expressions) -> list[ast.stmt]:
+        """Return the removal of elements, of lists that may become shorter."""
+        lists = []
+        for target in node.targets:
+            if not isinstance(target, ast.Subscript):
+                self.refuse(node, "golden functions have no `del` of variables")
+            lists.append(_call(f"{RUNTIME}.growing", [expressions.visit(target.value)], node))
+        return [*lists, expressions.visit(node)]
+
+    def branch(self, node: ast.If, expressions: _Expressions) -> list[ast.stmt]:
+        """Return an ``if``: each side runs if it may be taken, and then they are joined."""
+        fork, names = self.name("fork"), _stored([*node.body, *node.orelse])
+        test = expressions.visit(node.test)
+        result = [_assign(fork, f"{_FRAME}.fork", [test, _tuple(names)], node)]
+        for k, body in enumerate((node.body, node.orelse)):
+            side = _statement(f"if {fork}.takes({k}): pass", node)
+            assert isinstance(side, ast.If)
+            side.body = [
+                *([_unpack(names, f"{fork}.before", [], node)] if k and names else []),
+                *self.block(body, expressions),
+                _call(f"{fork}.leaves", [_tuple(names)], node),
+            ]
+            result.append(side)
+        return [*result, _unpack(names, f"{fork}.joined", [], node)]
+
+    def while_(self, node: ast.While, expressions: _Expressions) -> list[ast.stmt]:
+        """Return a ``while``, which goes round until no word can want it."""
+        loop, names = self.name("loop"), _stored([node])
+        again = _statement(f"while {_FRAME}.lives(): pass", node)
+        assert isinstance(again, ast.While)
+        # A round may leave no path on which there is a test.
+        wanted = _expression(f"{loop}.again", [expressions.visit(node.test), _tuple(names)], node)
+        again.test = ast.copy_location(ast.BoolOp(ast.And(), [again.test, wanted]), node)
+        again.body = self.round(node.body, loop, names, expressions, node)
+        return self.looped(node, loop, names, again, expressions)
+
+    def for_(self, node: ast.For, expressions: _Expressions) -> list[ast.stmt]:
+        """Return a ``for``."""
+        if _has_parts(node.target):
+            self.refuse(
+                node, "a `for` counts in an element or an attribute; count in a variable, and assign it"
+            )
+        loop, names = self.name("loop"), _stored([node])
+        over = _statement(f"for _ in {RUNTIME}.items(0): pass", node)
+        assert isinstance(over, ast.For)
+        assert isinstance(over.iter, ast.Call)
+        over.iter.args = [expressions.visit(node.iter)]
+        over.target = expressions.visit(node.target)
+        over.body = self.round(node.body, loop, names, expressions, node)
+        if _leaves(node.body):
+            over.body.insert(0, _statement(f"if not {_FRAME}.lives(): break", node))
+        return self.looped(node, loop, names, over, expressions)
+
+    def round(
+        self, body: Sequence[ast.stmt], loop: str, names: list[str], expressions: _Expressions, node: ast.stmt
+    ) -> list[ast.stmt]:
+        self.loops.append((loop, names))
+        result = self.block(body, expressions)
+        self.loops.pop()
+        # Only `continue` leaves something to join.
+        if any(isinstance(n, ast.Continue) for n in _inside(body)):
+            result.append(_unpack(names, f"{loop}.next_round", [_tuple(names)], node))
+        return result
+
+    def looped(
+        self, node: ast.For | ast.While, loop: str, names: list[str], new: ast.stmt, expressions: _Expressions
+    ) -> list[ast.stmt]:
+        result = [_assign(loop, f"{_FRAME}.loop", [], node), new]
+        if node.orelse:
+            result.append(_unpack(names, f"{loop}.finished", [_tuple(names)], node))
+            guard = _statement(f"if {_FRAME}.lives(): pass", node)
+            assert isinstance(guard, ast.If)
+            guard.body = self.block(node.orelse, expressions)
+            result.append(guard)
+        result.append(_unpack(names, f"{loop}.joined", [_tuple(names)], node))
+        return result
+
+    def stores(self, node: ast.Assign, expressions: _Expressions) -> list[ast.stmt]:
+        """Return assignments to elements and attributes as calls."""
+        value = self.name("value")
+        result = [_assign(value, None, [expressions.visit(node.value)], node)]
+        for target in node.targets:
+            result += self.store(target, ast.Name(value, ast.Load()), expressions)
+        return result
+
+    def store(self, target: ast.expr, value: ast.expr, expressions: _Expressions) -> list[ast.stmt]:
+        match target:
+            case ast.Subscript():
+                args = [expressions.visit(target.value), expressions.visit(target.slice), value]
+                return [_call(f"{RUNTIME}.put", args, target)]
+            case ast.Attribute():
+                args = [expressions.visit(target.value), ast.Constant(target.attr), value]
+                return [_call(f"{RUNTIME}.set_attribute", args, target)]
+            case ast.Tuple() | ast.List() if _has_parts(target):
+                names = [self.name("part") for _ in target.elts]
+                parts = _tuple(names, ast.Store())
+                result: list[ast.stmt] = [ast.copy_location(ast.Assign([parts], value), target)]
+                for part, name in zip(target.elts, names, strict=True):
+                    if isinstance(part, ast.Starred):
+                        self.refuse(part, "`*` beside elements; assign the parts one by one")
+                    result += self.store(part, ast.Name(name, ast.Load()), expressions)
+                return result
+        return [ast.copy_location(ast.Assign([target], value), target)]
+
+    def changes(self, node: ast.AugAssign, expressions: _Expressions) -> list[ast.stmt]:
+        """Return ``a[k] += b``, in which ``a`` and ``k`` are evaluated once."""
+        target, whole, part = node.target, self.name("of"), self.name("at")
+        assert isinstance(target, (ast.Subscript, ast.Attribute))
+        is_item = isinstance(target, ast.Subscript)
+        key = (
+            expressions.visit(target.slice)
+            if isinstance(target, ast.Subscript)
+            else ast.Constant(target.attr)
+        )
+        loads = [ast.Name(whole, ast.Load()), ast.Name(part, ast.Load())]
+        getter = f"{RUNTIME}.item" if is_item else "getattr"
+        # By a name of its own, so that a list grows in place.
+        old = self.name("old")
+        changed = ast.AugAssign(ast.Name(old, ast.Store()), node.op, expressions.visit(node.value))
+        return [
+            _assign(whole, None, [expressions.visit(target.value)], node),
+            _assign(part, None, [key], node),
+            _assign(old, getter, loads, node),
+            _call(f"{RUNTIME}.growing", [ast.Name(old, ast.Load())], node),
+            ast.copy_location(changed, node),
+            _call(
+                f"{RUNTIME}.{'put' if is_item else 'set_attribute'}",
+                [*loads, ast.Name(old, ast.Load())],
+                node,
+            ),
+        ]
+
+
+class _Expressions(ast.NodeTransformer):
+    """Rewrites expressions: what Python decides by a value."""
+
+    def __init__(self, function: _Function) -> None:
+        self.function = function
+
+    def visit(self, node: ast.AST) -> Any:
+        """Return what takes the place of an expression."""
+        match node:
+            case ast.BoolOp():
+                return self.bool_op(node)
+            case ast.UnaryOp(op=ast.Not()):
+                return _expression(f"{RUNTIME}.negation", [self.visit(node.operand)], node)
+            case ast.IfExp():
+                return self.conditional(node)
+            case ast.Compare():
+                return self.comparison(node)
+            case ast.Subscript():
+                return self.element(node)
+            case ast.List(ctx=ast.Load()) | ast.ListComp():
+                self.generic_visit(node)
+                return _expression(f"{RUNTIME}.listed", [node], node)
+            case ast.Call():
+                return self.call(node)
+            case ast.FunctionDef():
+                return _Function(self.function.file).of(node)
+            case ast.comprehension():
+                node.ifs = [_expression(f"{RUNTIME}.keeps", [test], test) for test in node.ifs]
+            case ast.Yield() | ast.YieldFrom() | ast.Await():
+                self.function.refuse(node, "golden functions are no generators; return a list")
+        return self.generic_visit(node)
+
+    def bool_op(self, node: ast.BoolOp) -> Any:
+        """Let the later operands wait, as Python does."""
+        values: list[ast.expr] = [self.visit(v) for v in node.values]
+        verb = "both" if isinstance(node.op, ast.And) else "any_of_two"
+        result = values[0]
+        for value in values[1:]:
+            result = _expression(f"{RUNTIME}.{verb}", [result, self.later(value)], node)
+        return result
+
+    def conditional(self, node: ast.IfExp) -> Any:
+        """Return ``a if test else b`` as a call."""
+        sides = [self.later(self.visit(node.body)), self.later(self.visit(node.orelse))]
+        return _expression(f"{RUNTIME}.either", [self.visit(node.test), *sides], node)
+
+    def comparison(self, node: ast.Compare) -> Any:
+        """Return chains as calls, and what compares sequences."""
+        values = [self.visit(v) for v in (node.left, *node.comparators)]
+        names = [type(op).__name__ for op in node.ops]
+        if len(names) == 1:
+            if names[0] in _COMPARISONS:
+                return _expression(f"{RUNTIME}.{_COMPARISONS[names[0]]}", values, node)
+            return ast.copy_location(ast.Compare(values[0], node.ops, values[1:]), node)
+        each = ast.Tuple([ast.Constant(name) for name in names], ast.Load())
+        result = [each, values[0], *map(self.later, values[1:])]
+        return _expression(f"{RUNTIME}.chain", result, node)
+
+    def element(self, node: ast.Subscript) -> Any:
+        """Return an element by a call; a word may choose it."""
+        value, index = self.visit(node.value), self.visit(node.slice)
+        if isinstance(node.ctx, ast.Load):
+            return _expression(f"{RUNTIME}.item", [value, index], node)
+        return ast.copy_location(ast.Subscript(value, index, node.ctx), node)
+
+    def call(self, node: ast.Call) -> Any:
+        """Count what fits, in place of leaving out what does not: that is no word's to decide."""
+        if isinstance(node.func, ast.Name) and node.func.id in _REDUCTIONS and node.args:
+            inner = node.args[0]
+            if isinstance(inner, (ast.GeneratorExp, ast.ListComp)):
+                node = _unfiltered(node, inner)
+        if isinstance(node.func, ast.Attribute):
+            of, verb = self.visit(node.func.value), node.func.attr
+            if verb in ("index", "count") and len(node.args) == 1 and not node.keywords:
+                return _expression(f"{RUNTIME}.{verb}", [of, self.visit(node.args[0])], node)
+            if verb in _GROWING:
+                of = _expression(f"{RUNTIME}.growing", [of, ast.Constant(verb)], node)
+            node.func.value, function = of, node.func
+        else:
+            function = self.visit(node.func)
+        if isinstance(node.func, ast.Name) and node.func.id == "type" and len(node.args) == 1:
+            return _expression(f"{RUNTIME}.type_of", [self.visit(node.args[0])], node)
+        is_next = isinstance(node.func, ast.Name) and node.func.id == "next" and node.args
+        if is_next and not isinstance(node.args[0], ast.GeneratorExp):
+            node.args[0] = _expression(f"{RUNTIME}.advancing", [node.args[0]], node)
+        # Python's own functions stay: `super()` finds its class by its name.
+        is_pythons = isinstance(node.func, ast.Name) and hasattr(builtins, node.func.id)
+        node.func = function if is_pythons else _expression(f"{RUNTIME}.called", [function], node)
+        node.args = list(map(self.argument, node.args))
+        for keyword in node.keywords:
+            keyword.value = self.argument(keyword.value)
+        return node
+
+    def argument(self, node: ast.expr) -> Any:
+        """Return an argument of a call; a variable has to have a value where the call is."""
+        if isinstance(node, ast.Name) and node.id in self.function.unbound:
+            return _expression(f"{RUNTIME}.defined", [node], node)
+        return self.visit(node)
+
+    def later(self, node: ast.expr) -> ast.expr:
+        """Return a function of no arguments that evaluates an expression."""
+        for inner in ast.walk(node):
+            if isinstance(inner, ast.NamedExpr):
+                self.function.refuse(
+                    inner, f"`{inner.target.id} :=` in what is not always evaluated; assign it before"
+                )
+        new = _placed(ast.parse("lambda: 0", mode="eval").body, node)
+        assert isinstance(new, ast.Lambda)
+        new.body = node
+        return new
+
+
+_REDUCTIONS = "any", "all", "sum"
+_GROWING = {
+    *("append", "extend", "insert", "pop", "remove", "clear", "sort", "reverse"),
+    *("add", "discard", "update", "setdefault", "popitem"),
+    *("difference_update", "intersection_update", "symmetric_difference_update"),
+    *("appendleft", "extendleft", "popleft", "rotate"),
+}
+"""The methods that change a list, a dict, a set or a deque."""
+_COMPARISONS = {
+    "Eq": "equal",
+    "NotEq": "differ",
+    "In": "contains",
+    "NotIn": "lacks",
+    "Is": "same",
+    "IsNot": "other",
+    "Lt": "less",
+    "LtE": "less_equal",
+    "Gt": "greater",
+    "GtE": "greater_equal",
+}
+
+
+def _unfiltered(call: ast.Call, inner: ast.GeneratorExp | ast.ListComp) -> ast.Call:
+    """Return ``any(x for ... if c)`` as ``any(c and x for ...)``, ``all`` and ``sum`` likewise.
+
+    What comes after an ``if`` is inside it, a second ``for``, too: there it is a reduction of its own.
+    """
+    if not any(generator.ifs for generator in inner.generators):
+        return call
+    name, element, result = call.func.id, inner.elt, call  # type: ignore[attr-defined]
+    for generator in reversed(inner.generators):
+        for test in reversed(generator.ifs):
+            match name:
+                case "any":
+                    element = ast.copy_location(ast.BoolOp(ast.And(), [test, element]), element)
+                case "all":
+                    refused = ast.copy_location(ast.UnaryOp(ast.Not(), test), test)
+                    element = ast.copy_location(ast.BoolOp(ast.Or(), [refused, element]), element)
+                case _:
+                    nothing = ast.copy_location(ast.Constant(0), element)
+                    element = ast.copy_location(ast.IfExp(test, element, nothing), element)
+        bare = ast.comprehension(generator.target, generator.iter, [], generator.is_async)
+        each = ast.copy_location(ast.GeneratorExp(element, [bare]), inner)
+        element = result = ast.copy_location(ast.Call(call.func, [each], []), call)
+    # Where a sum begins is the outermost one's to say.
+    result.args += call.args[1:]
+    result.keywords = call.keywords
+    return result
+
+
+def _has_parts(target: ast.expr) -> bool:
+    """Return whether an assignment writes an element or an attribute."""
+    if isinstance(target, (ast.Tuple, ast.List)):
+        return any(map(_has_parts, target.elts))
+    return isinstance(target, (ast.Subscript, ast.Attribute))
+
+
+def _arguments(args: ast.arguments) -> list[ast.arg]:
+    every = [*args.posonlyargs, *args.args, *args.kwonlyargs]
+    return every + [a for a in (args.vararg, args.kwarg) if a is not None]
+
+
+def _plain(args: ast.arguments) -> ast.arguments:
+    """Return arguments without annotations; defaults come from the function itself."""
+
+    def bare(arg: ast.arg | None) -> ast.arg | None:
+        return None if arg is None else ast.copy_location(ast.arg(arg.arg), arg)
+
+    def all_bare(several: Sequence[ast.arg]) -> list[ast.arg]:
+        return [new for arg in several if (new := bare(arg)) is not None]
+
+    return ast.arguments(
+        all_bare(args.posonlyargs),
+        all_bare(args.args),
+        bare(args.vararg),
+        all_bare(args.kwonlyargs),
+        list(args.kw_defaults),
+        bare(args.kwarg),
+        list(args.defaults),
+    )
+
+
+def _placed(new: _Node, node: ast.AST) -> _Node:
+    """Give every part of what was parsed from a text the place where a node begins.
+
+    To Python, the call of an attribute that goes over several lines is in the last of them.
+    """
+    begin = {"lineno": node.lineno, "col_offset": node.col_offset}  # type: ignore[attr-defined]
+    end = {f"end_{name}": number for name, number in begin.items()}
+    for part in ast.walk(new):
+        if "lineno" in part._attributes:
+            vars(part).update(begin | end)
+    return new
+
+
+def _statement(text: str, node: ast.AST) -> ast.stmt:
+    return _placed(ast.parse(text).body[0], node)
+
+
+def _expression(function: str, args: Sequence[ast.expr], node: ast.AST) -> ast.expr:
+    new = ast.parse(f"{function}()", mode="eval").body
+    assert isinstance(new, ast.Call)
+    _placed(new, node)
+    new.args = list(args)
+    return new
+
+
+def _call(function: str, args: Sequence[ast.expr], node: ast.AST) -> ast.stmt:
+    return ast.copy_location(ast.Expr(_expression(function, args, node)), node)
+
+
+def _assign(name: str, function: str | None, args: Sequence[ast.expr], node: ast.AST) -> ast.stmt:
+    value = args[0] if function is None else _expression(function, args, node)
+    return ast.copy_location(ast.Assign([ast.Name(name, ast.Store())], value), node)
+
+
+def _unpack(names: Sequence[str], function: str, args: Sequence[ast.expr], node: ast.AST) -> ast.stmt:
+    """Return the assignment of what a call returns to names; the call alone where there are none."""
+    if not names:
+        return _call(function, args, node)
+    target = _tuple(names, ast.Store())
+    return ast.copy_location(ast.Assign([target], _expression(function, args, node)), node)
+
+
+def _tuple(names: Sequence[str], context: ast.expr_context | None = None) -> ast.Tuple:
+    context = context or ast.Load()
+    return ast.Tuple([ast.Name(name, context) for name in names], context)

@@ -1,0 +1,87 @@
+"""Lists and objects that may be one another: what a word has chosen is each of several where a flag is set.
+
+Python's ``row = board[y]`` gives a list another name, and what is written by that name shows in ``board``.
+Where ``y`` is a word, ``row`` is a list of its own while a function is traced, so a write into one of them is
+made in all that may be the same.
+"""
+
+from __future__ import annotations
+
+import itertools
+import weakref
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+from pearl_marl.golden.tracing.graph import Graph
+from pearl_marl.golden.tracing.nodes import Node
+
+
+class Twins:
+    """Knows of each list, or object, where it is which of those that an author has made."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+        self._numbers = itertools.count()
+        self._made: dict[int, tuple[int, Any]] = {}
+        """By what Python calls its ``id``: the number of what an author has made, and what keeps it known."""
+        self._places: dict[int, dict[int, tuple[Callable[[], Any], Node]]] = {}
+        """By such a number: who may be it, and where."""
+        self._chosen: dict[int, dict[int, Node]] = {}
+        """By ``id``: of what a word has chosen, the numbers of what it may be, and where."""
+
+    def chosen(self, new: Any, options: Iterable[tuple[Node, Any]]) -> None:
+        """Note that something new is each of several where a flag is set, and always one of them."""
+        where: dict[int, Node] = {}
+        for flag, option in options:
+            for number, own in self._which(option).items():
+                here = self.graph.and_(flag, own)
+                where[number] = self.graph.or_(where[number], here) if number in where else here
+        key = id(new)
+        known = _known(new, lambda: self._forget(key))
+        self._chosen[key] = where
+        for number, flag in where.items():
+            self._places[number][key] = known, flag
+
+    def others(self, of: Any) -> Iterator[tuple[Any, Node]]:
+        """Yield who else may be the same, and where it is."""
+        if id(of) not in self._chosen and id(of) not in self._made:
+            return
+        same: dict[int, tuple[Callable[[], Any], Node]] = {}
+        for number, own in self._which(of).items():
+            # While conditions are made, some may be forgotten.
+            for key, (known, flag) in list(self._places[number].items()):
+                if key != id(of):
+                    here = self.graph.and_(own, flag)
+                    same[key] = known, self.graph.or_(same[key][1], here) if key in same else here
+        for known, flag in same.values():
+            other = known()
+            if other is not None and not flag.is_constant(0):
+                yield other, flag
+
+    def _which(self, of: Any) -> dict[int, Node]:
+        """Return what something may be, and where."""
+        key, always = id(of), self.graph.constant(1)
+        if key in self._chosen:
+            return self._chosen[key]
+        if key not in self._made:
+            number = next(self._numbers)
+            known = _known(of, lambda: self._forget(key))
+            self._made[key] = number, known
+            self._places[number] = {key: (known, always)}
+        return {self._made[key][0]: always}
+
+    def _forget(self, key: int) -> None:
+        """Forget values that no longer exist."""
+        for number in self._chosen.pop(key, {}):
+            self._places[number].pop(key, None)
+        if key in self._made:
+            number, _ = self._made.pop(key)
+            self._places[number].pop(key, None)
+
+
+def _known(value: Any, forget: Callable[[], None]) -> Callable[[], Any]:
+    """Return a function that returns a value as long as it exists; plain lists are kept."""
+    try:
+        return weakref.ref(value, lambda _: forget())
+    except TypeError:
+        return lambda: value

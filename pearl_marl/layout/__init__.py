@@ -1,0 +1,399 @@
+"""What a class of named words looks like in hardware: its fields in order, and back.
+
+An author declares the state of an environment, and what an agent sees, as a class::
+
+    class Robot(NamedTuple):
+        row: Range[0, 9]
+        carries: Bits[1]
+
+    class State(NamedTuple):
+        robots: Array[Robot, 4]
+        time: Bits[10]
+
+Hardware, saved states and kernels know words in the order in which they stand there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import typing
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import Annotated, Any
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.golden.reals import Real as Number
+from pearl_marl.golden.reals import constant, fraction_for, stored
+from pearl_marl.golden.tracing.operations import bits_of, word_range
+from pearl_marl.layout.fields import Field
+
+
+@dataclasses.dataclass(frozen=True)
+class Scalar:
+    """The format of one word."""
+
+    bits: int
+    signed: bool = False
+    fraction: int = 0
+    least: int | None = None
+    most: int | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Interval:
+    """The range of a real number."""
+
+    low: float
+    high: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Several:
+    """An array."""
+
+    of: Any
+    count: int
+
+
+class _Bits:
+    """``Bits[n]``: a word of n bits, from 0. ``Bits[n, f]`` has f of them behind the binary point.
+
+    ``Bits[0]``, where an option makes a word needless, keeps nothing: it is 0 when it is read.
+    """
+
+    def __getitem__(self, sizes: int | tuple[int, int]) -> Any:
+        bits, fraction = sizes if isinstance(sizes, tuple) else (sizes, 0)
+        return Annotated[int, Scalar(bits, False, fraction)]
+
+
+class _Signed:
+    """``Signed[n]``: a word of n bits, two's complement. ``Signed[n, f]`` has f of them behind the point."""
+
+    def __getitem__(self, sizes: int | tuple[int, int]) -> Any:
+        bits, fraction = sizes if isinstance(sizes, tuple) else (sizes, 0)
+        return Annotated[int, Scalar(bits, True, fraction)]
+
+
+class _Range:
+    """``Range[low, high]``: a word from low to high, both included, of as many bits as that takes."""
+
+    def __getitem__(self, ends: tuple[int, int]) -> Any:
+        if not isinstance(ends, tuple) or len(ends) != 2 or not all(type(end) is int for end in ends):
+            raise ArgumentError(f"Range[{ends!r}]: give two integers, Range[0, 9]")
+        low, high = ends
+        if low > high:
+            raise ArgumentError(f"Range[{low}, {high}]: the first is the least")
+        signed = low < 0
+        bits = max(1, high.bit_length() + signed, (~low).bit_length() + 1 if signed else 0)
+        return Annotated[int, Scalar(bits, signed, 0, low, high)]
+
+
+class _Real:
+    """``Real[low, high]``: a real number in fixed point; what is stored beyond the range becomes its end."""
+
+    def __getitem__(self, ends: tuple[float, float]) -> Any:
+        if not isinstance(ends, tuple) or len(ends) != 2 or not all(map(_is_finite, ends)):
+            raise ArgumentError(f"Real[{ends!r}]: give two finite numbers, Real[-2.4, 2.4]")
+        if ends[0] >= ends[1]:
+            raise ArgumentError(f"Real[{ends[0]}, {ends[1]}]: the first is the least")
+        return Annotated[Any, Interval(float(ends[0]), float(ends[1]))]
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+class _Array:
+    """``Array[kind, n]``: n of a kind, a list; ``Array[kind, n, m]`` is a list of n lists of m."""
+
+    def __getitem__(self, parts: tuple[Any, ...]) -> Any:
+        kind, *counts = parts
+        for count in reversed(counts):
+            if type(count) is not int or count < 1:
+                raise ArgumentError(f"Array[..., {count!r}]: a length is an integer from 1")
+            kind = Annotated[list[Any], Several(kind, count)]
+        return kind
+
+
+Bits: Any = _Bits()
+Signed: Any = _Signed()
+Range: Any = _Range()
+Real: Any = _Real()
+Array: Any = _Array()
+Flag: Any = Bits[1]
+"""One bit, 0 or 1."""
+
+
+class Layout:
+    """The words of a class: ``fields``, :meth:`built` of words, and :meth:`flat` again.
+
+    Parameters
+    ----------
+    cls
+        The class.
+    fraction
+        The fraction bits of reals; ``None`` lets those of the class decide.
+
+    Raises
+    ------
+    ArgumentError
+        A field of the class has no width; names it.
+    """
+
+    def __init__(self, cls: type, fraction: int | None = None) -> None:
+        if not isinstance(cls, type) or not getattr(cls, "__annotations__", None):
+            raise ArgumentError(f"{cls!r} is no class with annotated fields, such as `row: Bits[2]`")
+        self.cls = cls
+        bounds = list(_intervals(cls))
+        if fraction is None and bounds:
+            fraction = fraction_for((one.low, one.high) for one in bounds)
+        self.fraction = fraction if bounds else None
+        """The fraction bits of reals; ``None`` where there are none."""
+        self._tree = _Group(cls, fraction or 0)
+        self.fields = tuple(self._tree.fields(""))
+
+    @property
+    def classes(self) -> tuple[type, ...]:
+        """The class, and those of the objects in it."""
+        return tuple(_classes(self._tree))
+
+    @cached_property
+    def built(self) -> Callable[[Iterable[Any]], Any]:
+        """A function of as many words or values as there are fields; it returns an object of the class.
+
+        Arrays are lists. A word of a real is made one; a float stays what it is.
+        """
+        code = _Code()
+        names = [f"word_{k}" for k in range(len(self.fields))]
+        made = self._tree.made(iter(names), code)
+        # As text, since the reference calls it for every slot.
+        return code.function(  # type: ignore[no-any-return]
+            "built", "words", [f"({''.join(f'{name}, ' for name in names)}) = words"], made
+        )
+
+    def flat(self, value: Any) -> Sequence[Any]:
+        """Return the words of an object of the class.
+
+        Raises
+        ------
+        ArgumentError
+            It is none, or an array has another length: names which.
+        """
+        # An integer in a field of reals is no word yet.
+        words = self._integers(value) if self.fraction is None else None
+        if words is not None and {*map(type, words)} <= _INTEGERS:
+            return words
+        if not isinstance(value, self.cls):
+            raise ArgumentError(f"a {self.cls.__name__} is due, and {_described(value)} is returned")
+        result: list[Any] = []
+        self._tree.flatten(value, self.cls.__name__, result)
+        return result
+
+    @cached_property
+    def _integers(self) -> Callable[[Any], tuple[Any, ...] | None]:
+        """:meth:`flat` of plain objects of integers; of others ``None``, or words that are none."""
+        code = _Code()
+        words = self._tree.taken("value", code)
+        return code.function(  # type: ignore[no-any-return]
+            "integers", "value", code.lines, f"({''.join(f'{word}, ' for word in words)})"
+        )
+
+
+_INTEGERS = {int, bool}
+
+
+class _Code:
+    """The text of a function that makes an object of words, or words of one."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.scope: dict[str, Any] = {}
+
+    def known(self, value: object) -> str:
+        """Return a name that the text has for a value."""
+        for name, other in self.scope.items():
+            if other is value:
+                return name
+        name = f"known_{len(self.scope)}"
+        self.scope[name] = value
+        return name
+
+    def function(self, name: str, argument: str, lines: Iterable[str], result: str) -> Any:
+        """Return the function of these statements."""
+        text = [f"def {name}({argument}):", *(f"    {line}" for line in lines), f"    return {result}"]
+        exec("\n".join(text), self.scope)
+        return self.scope[name]
+
+
+class _Leaf:
+    def __init__(self, scalar: Scalar) -> None:
+        self.scalar = scalar
+
+    def fields(self, name: str) -> Iterator[Field]:
+        s = self.scalar
+        if s.bits:
+            yield Field(name, s.bits, s.signed, s.fraction, s.least, s.most)
+
+    def made(self, words: Iterator[str], code: _Code) -> str:
+        return next(words) if self.scalar.bits else "0"
+
+    def taken(self, value: str, code: _Code) -> list[str]:
+        return [value] if self.scalar.bits else []
+
+    def flatten(self, value: Any, where: str, result: list[Any]) -> None:
+        if isinstance(value, (tuple, list, str)) or value is None:
+            raise ArgumentError(f"{where} is {_described(value)}; it must be one word")
+        if self.scalar.bits:
+            result.append(value)
+
+
+class _RealLeaf:
+    def __init__(self, interval: Interval, fraction: int) -> None:
+        self.ends, self.fraction = (interval.low, interval.high), fraction
+        self.field = real_field("", interval, fraction)
+
+    def fields(self, name: str) -> Iterator[Field]:
+        yield dataclasses.replace(self.field, name=name)
+
+    def made(self, words: Iterator[str], code: _Code) -> str:
+        word = next(words)
+        number = f"{code.known(Number)}({word}, {self.fraction})"
+        return f"{word} if isinstance({word}, float) else {number}"
+
+    def taken(self, value: str, code: _Code) -> list[str]:
+        return [value]
+
+    def flatten(self, value: Any, where: str, result: list[Any]) -> None:
+        if isinstance(value, (tuple, list, str)) or value is None:
+            raise ArgumentError(f"{where} is {_described(value)}; it must be one number")
+        result.append(stored(value, *self.ends, self.fraction))
+
+
+def real_field(name: str, interval: Interval, fraction: int) -> Field:
+    """Return the field that holds a real: as narrow as its range allows."""
+    least, most = constant(interval.low, fraction), constant(interval.high, fraction)
+    low, high = word_range(bits := bits_of(least, most), least < 0)
+    return Field(
+        name, bits, least < 0, fraction, None if low == least else least, None if high == most else most
+    )
+
+
+class _Several:
+    def __init__(self, element: _Tree, count: int) -> None:
+        self.element, self.count = element, count
+
+    def fields(self, name: str) -> Iterator[Field]:
+        for k in range(self.count):
+            yield from self.element.fields(f"{name}_{k}")
+
+    def made(self, words: Iterator[str], code: _Code) -> str:
+        return f"[{', '.join(self.element.made(words, code) for _ in range(self.count))}]"
+
+    def taken(self, value: str, code: _Code) -> list[str]:
+        name = f"list_{len(code.lines)}"
+        code.lines += [
+            f"{name} = {value}",
+            f"if {name}.__class__ is not list or len({name}) != {self.count}: return None",
+        ]
+        return [word for k in range(self.count) for word in self.element.taken(f"{name}[{k}]", code)]
+
+    def flatten(self, value: Any, where: str, result: list[Any]) -> None:
+        if not isinstance(value, (tuple, list)) or len(value) != self.count:
+            raise ArgumentError(f"{where} is {_described(value)}; it must be a list of {self.count}")
+        for k, one in enumerate(value):
+            self.element.flatten(one, f"{where}[{k}]", result)
+
+
+class _Group:
+    def __init__(self, cls: type, fraction: int) -> None:
+        self.cls = cls
+        hints = _hints(cls)
+        self.parts = {name: _tree(hint, f"{cls.__name__}.{name}", fraction) for name, hint in hints.items()}
+
+    def fields(self, name: str) -> Iterator[Field]:
+        for own, part in self.parts.items():
+            yield from part.fields(f"{name}_{own}" if name else own)
+
+    def made(self, words: Iterator[str], code: _Code) -> str:
+        return f"{code.known(self.cls)}({', '.join(part.made(words, code) for part in self.parts.values())})"
+
+    def taken(self, value: str, code: _Code) -> list[str]:
+        name = f"group_{len(code.lines)}"
+        code.lines += [
+            f"{name} = {value}",
+            f"if {name}.__class__ is not {code.known(self.cls)}: return None",
+        ]
+        return [word for own, part in self.parts.items() for word in part.taken(f"{name}.{own}", code)]
+
+    def flatten(self, value: Any, where: str, result: list[Any]) -> None:
+        if not isinstance(value, self.cls):
+            raise ArgumentError(f"{where} is {_described(value)}; it must be a {self.cls.__name__}")
+        for name, part in self.parts.items():
+            part.flatten(getattr(value, name), f"{where}.{name}", result)
+
+
+_Tree = _Leaf | _RealLeaf | _Several | _Group
+
+
+def _classes(tree: _Tree) -> Iterator[type]:
+    if isinstance(tree, _Several):
+        yield from _classes(tree.element)
+    if isinstance(tree, _Group):
+        yield tree.cls
+        for part in tree.parts.values():
+            yield from _classes(part)
+
+
+def _intervals(hint: Any) -> Iterator[Interval]:
+    """Yield the ranges of all reals of a class or an annotation."""
+    for extra in getattr(hint, "__metadata__", ()):
+        if isinstance(extra, Interval):
+            yield extra
+        if isinstance(extra, Several):
+            yield from _intervals(extra.of)
+    if isinstance(hint, type) and getattr(hint, "__annotations__", None):
+        for inner in _hints(hint).values():
+            yield from _intervals(inner)
+
+
+def _tree(hint: Any, where: str, fraction: int) -> _Tree:
+    for extra in getattr(hint, "__metadata__", ()):
+        if isinstance(extra, Scalar):
+            return _Leaf(extra)
+        if isinstance(extra, Several):
+            return _Several(_tree(extra.of, where, fraction), extra.count)
+        if isinstance(extra, Interval):
+            return _RealLeaf(extra, fraction)
+    if isinstance(hint, type) and getattr(hint, "__annotations__", None):
+        return _Group(hint, fraction)
+    raise ArgumentError(
+        f"{where} is annotated {getattr(hint, '__name__', hint)}; say how wide it is: Bits[4], Range[0, 9], "
+        "Real[-1, 1], Array[Bits[4], 16] or a class of such fields"
+    )
+
+
+def _hints(cls: type) -> Mapping[str, Any]:
+    """Return the annotations of a class."""
+    try:
+        return typing.get_type_hints(cls, include_extras=True)
+    except NameError as error:
+        raise ArgumentError(
+            f"{cls.__name__}: {error}; a class inside a function needs a module without "
+            "`from __future__ import annotations`"
+        ) from None
+
+
+def leaves(value: Any) -> list[Any]:
+    """Return the words of what a golden function returns: tuples and lists, some inside others, in order."""
+    if isinstance(value, (tuple, list)):
+        return [word for part in value for word in leaves(part)]
+    return [value]
+
+
+def _described(value: Any) -> str:
+    if isinstance(value, (tuple, list)):
+        return f"a {'list' if isinstance(value, list) else type(value).__name__} of {len(value)}"
+    if value is None:
+        return "nothing"
+    return repr(value) if isinstance(value, (int, str)) else f"a {type(value).__name__}"

@@ -1,4 +1,0 @@
-"""From a golden function to the graph of what it does, and what is wrong with it.
-
-May import ``rebinding``, ``golden`` and ``errors``.
-"""
