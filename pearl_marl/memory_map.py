@@ -31,18 +31,19 @@ states, elapsed, reset mask and actions can be written and (but for control) rea
 results and status are read-only. A refused access, and one to a hole in the map, is answered with an error.
 The one word that can be written at any time is ``RESET`` of control.
 
-A build with a policy engine (:class:`Engine`) has two more regions behind the status: ``policy``, which is
-written before a rollout and reads as zero, and ``statistics``, which can be read at any time. A word of
-``policy`` holds a number of 32 bits, however wide it is.
+A build with a policy engine (:class:`Engine`) has two more regions behind the status: ``statistics``, which
+can be read at any time and says what engine it is, too; and ``policy``, which is written before a rollout and
+reads as zero. A word of ``policy`` holds a number of 32 bits, however wide it is.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
-from pearl_marl.errors import ArgumentError
+from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.spec import EnvSpec, check_slots, word_bits
 
 PROTOCOL_VERSION = 2
@@ -65,7 +66,7 @@ REGION_NAMES = (
     "status",
 )
 
-ENGINE_REGION_NAMES = ("policy", "statistics")
+ENGINE_REGION_NAMES = ("statistics", "policy")
 """Regions behind these where there is a policy engine."""
 
 
@@ -78,6 +79,7 @@ class Control(IntEnum):
 
     MAGIC = 0
     PROTOCOL_VERSION = 1
+    """In its upper half, what policy engine there is: the place of its kind in :data:`ENGINE_KINDS`."""
     ENV_HASH = 2
     N_ENVS = 3
     PE_NUM = 4
@@ -166,9 +168,12 @@ class Statistics(IntEnum):
     TRUNCATED = 6
     LENGTHS = 8
     RETURNS = 10
+    ENGINE = 12
+    """From here on, the numbers of the :class:`Engine` in their order, a word for each; its kind is in the
+    control region."""
 
 
-STATISTICS_WORDS = 12
+STATISTICS_WORDS = 22
 
 
 class Section(IntEnum):
@@ -194,6 +199,9 @@ ENTRIES = 1024
 """Numbers in a table of activations or chances."""
 
 
+ENGINE_KINDS = ("none", "table", "network")
+
+
 class Engine(NamedTuple):
     """The policy engine of a build: what is the largest policy that it takes, and how fast it is."""
 
@@ -217,6 +225,16 @@ class Engine(NamedTuple):
     weight_bits: int = 8
     value_bits: int = 12
     """Width of what weights are multiplied by, sign included: inputs, and outputs of layers."""
+
+    @classmethod
+    def of_words(cls, kind: int, words: Sequence[int]) -> Engine:
+        """Return the engine that hardware states: the number of its kind, and its words in the statistics."""
+        drawn, *sizes = words
+        if drawn > 1 or not all(1 <= size < 1 << 24 for size in sizes):
+            raise DeviceError(
+                f"the hardware states an impossible policy engine: {', '.join(map(str, words))}"
+            )
+        return cls(ENGINE_KINDS[kind], bool(drawn), *sizes)
 
     def weight_words(self, spec: EnvSpec) -> int:
         """Return how many words of weights it has room for, each with those of ``products`` products."""
@@ -355,7 +373,7 @@ def memory_map(
         regions.append(region)
         offset += region.words * data_wl // 8
     if engine is not None:
-        sizes = 1 << engine.index_bits(spec), -(-32 * STATISTICS_WORDS // data_wl)
+        sizes = -(-32 * STATISTICS_WORDS // data_wl), 1 << engine.index_bits(spec)
         for name, words in zip(ENGINE_REGION_NAMES, sizes, strict=True):
             regions.append(Region(name, offset, 1, words, 0, 0))
             offset += words * data_wl // 8

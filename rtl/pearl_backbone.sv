@@ -75,8 +75,8 @@ module pearl_backbone
       offset_of(Rewards),
       offset_of(Ters),
       offset_of(Status),
-      offset_of(Policy),
       offset_of(Statistics),
+      offset_of(Policy),
       offset_of(NumRegions)
   };
 
@@ -157,7 +157,7 @@ module pearl_backbone
       .STATE_BITS (STATE_BITS),
       .RESULT_BITS(OBS_BITS + REWARD_BITS + TER_BITS),
       .ENV_HASH   (ENV_HASH),
-      .ROLLOUTS   (ENGINE != NoEngine)
+      .ENGINE     (ENGINE)
   ) u_registers (
       .clk_i,
       .rst_ni,

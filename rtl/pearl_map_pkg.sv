@@ -31,8 +31,8 @@ package pearl_map_pkg;
       Ters: return stream_words(n_envs, TER_BITS, data_wl);
       Status: return stream_words(STATUS_WORDS, 32, data_wl);
       // Without a policy engine, the map ends with the status.
-      Policy: return ENGINE == NoEngine ? 0 : 1 << POLICY_INDEX_BITS;
-      default: return ENGINE == NoEngine ? 0 : stream_words(STATISTICS_WORDS, 32, data_wl);
+      Statistics: return ENGINE == NoEngine ? 0 : stream_words(STATISTICS_WORDS, 32, data_wl);
+      default: return ENGINE == NoEngine ? 0 : 1 << POLICY_INDEX_BITS;
     endcase
   endfunction
 

@@ -25,8 +25,8 @@ package pearl_pkg;
     Rewards,
     Ters,
     Status,
-    Policy,
     Statistics,
+    Policy,
     NumRegions
   } region_e;
 
@@ -34,7 +34,7 @@ package pearl_pkg;
   localparam int unsigned CONTROL_WORDS = 16;
   localparam int unsigned DOORBELL_WORDS = 2;
   localparam int unsigned STATUS_WORDS = 3;
-  localparam int unsigned STATISTICS_WORDS = 12;
+  localparam int unsigned STATISTICS_WORDS = 22;
   localparam int unsigned CONTROL_SEED_0 = 8;
   localparam int unsigned CONTROL_SEED_1 = 9;
   localparam int unsigned CONTROL_TICK_LOW = 10;

@@ -16,8 +16,8 @@ module pearl_registers
     parameter int unsigned RESULT_BITS = 9,
     // Names the environment and its options: a host refuses a build that is for another one.
     parameter logic [31:0] ENV_HASH = 32'h0,
-    // Whether there is a number of steps to make.
-    parameter bit ROLLOUTS = 1'b0,
+    // The policy engine: what kind it is. With one, there is a number of steps to make.
+    parameter int unsigned ENGINE = NoEngine,
     localparam int unsigned INDEX_BITS = index_bits(stream_words(CONTROL_WORDS, 32, DATA_WL))
 ) (
     input logic clk_i,
@@ -111,7 +111,7 @@ module pearl_registers
         if (reaches(CONTROL_MAX_CYCLES, index_i)) begin
           max_cycles_q <= word_of(CONTROL_MAX_CYCLES, wdata_i);
         end
-        if (ROLLOUTS && reaches(CONTROL_STEPS, index_i)) steps_q <= word_of(CONTROL_STEPS, wdata_i);
+        if (ENGINE != NoEngine && reaches(CONTROL_STEPS, index_i)) steps_q <= word_of(CONTROL_STEPS, wdata_i);
       end
     end
   end
@@ -176,7 +176,8 @@ module pearl_registers
     PE_NUM,
     N_ENVS,
     ENV_HASH,
-    PROTOCOL_VERSION,
+    16'(ENGINE),
+    16'(PROTOCOL_VERSION),
     MAGIC
   });
   assign doorbell = DOORBELL_BITS'({sequence_q, mode_word_q});

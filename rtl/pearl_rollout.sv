@@ -202,7 +202,26 @@ module pearl_rollout
   logic [WORD_BITS-1:0] word_q;
   logic [DATA_WL-1:0] word;
 
-  assign words = STATISTICS_BITS'({returns, lengths, truncated, episodes, cycles, 32'h0, steps_done});
+  // Behind the sums, what the engine is.
+  assign words = STATISTICS_BITS'({
+    VALUE_BITS,
+    WEIGHT_BITS,
+    LAYERS,
+    HIDDEN,
+    ROUNDS,
+    SIDE,
+    PRODUCTS,
+    LOGIT_BITS,
+    TABLE_ROWS,
+    32'(DRAWN),
+    returns,
+    lengths,
+    truncated,
+    episodes,
+    cycles,
+    32'h0,
+    steps_done
+  });
   always_ff @(posedge clk_i) word_q <= host_index_i[WORD_BITS-1:0];
   always_comb begin
     word = '0;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,6 +58,19 @@ class Rollout:
     terminations: Array | None = None
     truncations: Array | None = None
     logits: Array | None = None
+
+    @classmethod
+    def total(cls, parts: Sequence[Rollout]) -> Rollout:
+        """Return the sums of rollouts of several devices, which have one element each."""
+
+        def added(name: str) -> Array:
+            sums: Array = np.sum([getattr(part, name) for part in parts], axis=0)
+            return sums
+
+        return cls(
+            steps=parts[0].steps,
+            **{name: added(name) for name in ("returns", "squares", "lengths", "ended", "truncated")},
+        )
 
     @property
     def episodes(self) -> int:

@@ -37,6 +37,7 @@ def command(
     out: Where,
     n_envs: Slots = 1024,
     pe_num: PeNum = None,
+    policy: common.EnginePolicy = None,
     option: common.Options = None,
     as_json: common.AsJson = False,
 ) -> None:
@@ -46,7 +47,7 @@ def command(
     with a script for Vivado.
     """
     board, spec = boards.find(board_name), common.spec_of(env_id, option)
-    build = boards.board_build(board, spec, n_envs, pe_num)
+    build = boards.board_build(board, spec, n_envs, pe_num, common.engine_policy(policy))
     placed: Placed | None = None
     with claimed(out, "makes a bitstream"):
         files = boards.write(board, build, out)

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from pearl_marl.benchmark.tables import Table as MeasuredTable
+    from pearl_marl.policies.device_policy import DevicePolicy
     from pearl_marl.spec import EnvSpec
 
 T = TypeVar("T")
@@ -118,6 +119,23 @@ Options = Annotated[
     list[str] | None,
     typer.Option("--option", metavar="NAME=VALUE", help="An argument of the environment; may be repeated."),
 ]
+
+
+EnginePolicy = Annotated[
+    Path | None,
+    typer.Option(
+        "--policy",
+        metavar="FILE",
+        help="A policy of `pearl quantize`: the hardware gets a policy engine that is large enough for it.",
+    ),
+]
+
+
+def engine_policy(path: Path | None) -> DevicePolicy | None:
+    """Read the policy that the hardware's engine is to be for, if one is named."""
+    from pearl_marl.policies.integer_file import load_policy
+
+    return None if path is None else load_policy(path)
 
 
 def env_options(pairs: Iterable[str] | None, option: str = "--option") -> dict[str, Any]:

@@ -15,11 +15,13 @@ from pearl_marl.batch.results import check_memory
 from pearl_marl.cli.common import (
     Agents,
     AsJson,
+    EnginePolicy,
     EnvName,
     Options,
     agents_of,
     console,
     counted,
+    engine_policy,
     print_json,
     spec_of,
     writable,
@@ -27,6 +29,8 @@ from pearl_marl.cli.common import (
 from pearl_marl.devices import BatchConfig
 from pearl_marl.devices.rtl import Rtl
 from pearl_marl.devices.served import ServedBoard
+from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.engines import with_engine
 
 PeNum = Annotated[
     int | None, typer.Option("--pe-num", help="Number of processing elements.", show_default="chosen")
@@ -48,6 +52,7 @@ def command(
     pe_num: PeNum = None,
     data_wl: DataWl = None,
     path: PathName = "backdoor",
+    policy: EnginePolicy = None,
     option: Options = None,
     as_json: AsJson = False,
 ) -> None:
@@ -60,7 +65,8 @@ def command(
     spec = spec_of(env_id, option)
     config = BatchConfig(spec=spec, n_envs=worlds_of(spec, agents_of(spec, n_agents)))
     check_memory(config)
-    board = ServedBoard(at, spec, config.n_envs, pe_num, data_wl, path)
+    build = with_engine(Build.of(spec, config.n_envs, pe_num, data_wl), engine_policy(policy))
+    board = ServedBoard(at, spec, config.n_envs, pe_num, data_wl, path, build.layout.engine)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: board.stop())
     layout = board.layout

@@ -15,6 +15,7 @@ from pearl_marl.cli.common import console, error_console
 from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.engines import with_engine
 from pearl_marl.hardware.fitting import PARTS, Fit, confirm, largest_fit
 from pearl_marl.hardware.synthesis import PLACEMENTS, Family, Usage, synthesise
 from pearl_marl.memory_map import default_map
@@ -76,6 +77,7 @@ def command(
     pe_num: PeNum = None,
     data_wl: DataWl = None,
     part: PartFamily = Family.XC7,
+    policy: common.EnginePolicy = None,
     option: common.Options = None,
     fmax: Fmax = False,
     fit: FitPart = None,
@@ -88,9 +90,10 @@ def command(
     The exit status is 1 if a large memory did not become block RAM.
     """
     if every:
-        if env_id is not None or option or fmax or fit is not None or confirmed:
+        if env_id is not None or option or policy or fmax or fit is not None or confirmed:
             raise ArgumentError(
-                "--all takes every environment as it is: leave out ENV, --option, --fmax, --fit, --confirm"
+                "--all takes every environment as it is: leave out ENV, --option, --policy, --fmax, "
+                "--fit, --confirm"
             )
         _every(_numbers(n_envs)[0], pe_num, data_wl, part, out, as_json)
         return
@@ -102,7 +105,8 @@ def command(
     chosen = default_map(spec, sizes[0], pe_num, data_wl)
     name = f"synth_{spec.name}_{part}_{chosen.pe_num}_{chosen.data_wl}.json"
     common.check_results(out, name)
-    builds = [Build.of(spec, n, chosen.pe_num, chosen.data_wl) for n in sizes]
+    taken = common.engine_policy(policy)
+    builds = [with_engine(Build.of(spec, n, chosen.pe_num, chosen.data_wl), taken) for n in sizes]
     _check_fit(fit, part, confirmed)
     work = [(build, part, False) for build in builds]
     # There are no free tools that place a design on a 7-series part.

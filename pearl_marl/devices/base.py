@@ -111,6 +111,9 @@ class Device(ABC):
     checkpoint_every: int | None = None
     """Steps between two states that are kept for :meth:`recover`; ``None`` keeps nothing."""
 
+    has_engine = False
+    """Whether it has a policy engine: then a rollout is one call of the hardware, and sums come back."""
+
     recovery_type: type[CheckpointLog] | None = None
     """What keeps them; ``None`` where nothing can fail under way."""
 
@@ -309,9 +312,13 @@ class Device(ABC):
             if self.config.autoreset_mode is not AutoresetMode.NEXT_STEP:
                 raise
         # What a slot is given for a step that it spends resetting is ignored, whatever it is.
+        return self._encoded(self.action_rules.with_idle(actions, self.resetting(), self.action_masks))
+
+    def resetting(self) -> Array:
+        """Return which agents' worlds spend the next step on their reset."""
         ended = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).ended
-        resetting = (ended & 1).astype(np.bool_).repeat(self.config.spec.agents)
-        return self._encoded(self.action_rules.with_idle(actions, resetting, self.action_masks))
+        resetting: Array = (ended & 1).astype(np.bool_).repeat(self.config.spec.agents)
+        return resetting
 
     def _encoded(self, actions: Any) -> Array:
         spec, first = self.config.spec, self.config.first_slot
@@ -389,7 +396,8 @@ class Device(ABC):
     ) -> tuple[Rollout, Observed]:
         """Do a rollout, by single steps unless there is a faster way; return also what is observed last."""
         elapsed = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).elapsed
-        sums = rollouts.Sums.of(elapsed.repeat(self.config.spec.agents), self.elements().in_episode, episodes)
+        acting = self.elements().in_episode & ~self.resetting()
+        sums = rollouts.Sums.of(elapsed.repeat(self.config.spec.agents), acting, episodes)
         kept = rollouts.Record.of(self.config, steps, policy.logits) if record else None
         observed = rollouts.by_steps(
             self.config,

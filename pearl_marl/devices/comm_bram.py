@@ -46,7 +46,8 @@ class CommBram(Device):
     """
 
     patience = 10.0
-    """Seconds to wait at a reset for a step that was left under way, before the hardware is reset."""
+    """Seconds to wait at a reset for a step that was left under way, before the hardware is reset; and in a
+    rollout for its next step."""
 
     @abstractmethod
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
@@ -61,6 +62,11 @@ class CommBram(Device):
             transport.close()
             raise
         self._mirror = Mirror(config, self._protocol.end_field)
+
+    @property
+    def has_engine(self) -> bool:  # type: ignore[override]
+        """Whether the hardware has a policy engine."""
+        return self._protocol.layout.engine is not None
 
     @property
     def cycles(self) -> int:
@@ -123,7 +129,7 @@ class CommBram(Device):
         self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
     ) -> Rollout | None:
         protocol, mirror, config = self._protocol, self._mirror, self.config
-        if protocol.layout.engine is None or record or episodes is not None:
+        if not self.has_engine or record or episodes is not None:
             return None
         run = LinkRollout.of(policy, protocol.layout, config.spec, self.rewards, steps, config.limit)
         if mirror.due.any():  # the mask is of one step only
@@ -136,7 +142,7 @@ class CommBram(Device):
             protocol.set(self._settings(self.tick))
             mode = mirror.begin_due()
             protocol.doorbell[Doorbell.SEQUENCE] = sequence = (protocol.sequence + 1) & 0xFFFFFFFF
-            result, cycles = run.run(protocol.transport, mode, sequence)
+            result, cycles = run.run(protocol.transport, mode, sequence, self.patience)
             self.tick = (self.tick + steps) & rng.LAST_TICK
             protocol.confirm_rollout(self._settings(self.tick), cycles)
             mirror.begun(mode)

@@ -209,7 +209,8 @@ class Cuda(Device):
         elapsed = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).elapsed
         config = replace(self.config, spec=self.config.spec.in_elements)
         agents, n, layout = config.spec.agents, config.n_envs, ResultLayout(config)
-        sums: Any = Sums.of(elapsed.repeat(agents), on_host(self.in_episode), episodes)
+        acting = on_host(self.in_episode) & ~self.resetting()
+        sums: Any = Sums.of(elapsed.repeat(agents), acting, episodes)
         nobody, position = np.zeros(n, np.uint8), (*self.seed, rng.signed(self.tick), config.first_slot)
         with _failures():
             self._upload_rewards()

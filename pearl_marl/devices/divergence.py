@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
+from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import BatchStep, Observed
@@ -43,7 +44,7 @@ class Divergence:
     device: str
     reference: str
     call: str
-    """``"step"``, or the call that is no step: ``"reset"``, ``"restore"`` or ``"snapshot"``."""
+    """``"step"``, or the call that is none: ``"reset"``, ``"restore"``, ``"snapshot"`` or ``"rollout"``."""
     step: int
     """The tick: steps since seeding, from 0. A full reset without a seed counts as one."""
     slot: int
@@ -110,6 +111,14 @@ def seen_words(spec: EnvSpec, device: Observed, reference: Observed) -> Iterator
         yield from _by_world(spec, Words("action_masks", device.action_masks, reference.action_masks))
     if spec.agents > 1:
         yield from _by_world(spec, Words("in_episode", device.in_episode, reference.in_episode))
+
+
+def rollout_words(n: int, device: Rollout, reference: Rollout) -> Iterator[Words]:
+    """Yield the sums of a rollout over all agents, as words of the first of ``n`` slots."""
+    for name in ("ended", "truncated", "lengths", "returns"):
+        ours, theirs = (np.zeros(n, np.float64 if name == "returns" else np.int64) for _ in range(2))
+        ours[0], theirs[0] = (np.sum(getattr(rollout, name)) for rollout in (device, reference))
+        yield Words(f"sum of {name}", ours, theirs)
 
 
 def _observation(

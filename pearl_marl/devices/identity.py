@@ -8,11 +8,25 @@ from typing import Any
 import numpy as np
 
 from pearl_marl.envs import get_spec, names
-from pearl_marl.errors import DeviceError
+from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.build import Build
-from pearl_marl.memory_map import MAGIC, PROTOCOL_VERSION, Control, MemoryMap, stream_bits
+from pearl_marl.memory_map import (
+    ENGINE_KINDS,
+    MAGIC,
+    PROTOCOL_VERSION,
+    Control,
+    Engine,
+    MemoryMap,
+    Statistics,
+    default_map,
+    memory_map,
+    stream_bits,
+)
 from pearl_marl.spec import EnvSpec, word_bits
+
+Read = Callable[[int, Any], None]
+"""A transport's: fill an array with what is at a byte address."""
 
 _IDENTITY = tuple(word for word in Control if word < Control.SEED_0)
 
@@ -20,9 +34,10 @@ _IDENTITY = tuple(word for word in Control if word < Control.SEED_0)
 def identity(build: Build) -> tuple[int, ...]:
     """Return what the hardware of a batch has in the read-only words of its control region."""
     spec, layout = build
+    kind = "none" if layout.engine is None else layout.engine.kind
     return (
         MAGIC,
-        PROTOCOL_VERSION,
+        PROTOCOL_VERSION | ENGINE_KINDS.index(kind) << 16,
         elaboration.env_hash(spec),
         layout.n_envs,
         layout.pe_num,
@@ -32,22 +47,55 @@ def identity(build: Build) -> tuple[int, ...]:
     )
 
 
-def check_identity(name: str, read: Callable[[int, Any], None], build: Build) -> None:
-    """Refuse hardware that is not what a batch needs; name the first word that differs, and both values.
+def stated_map(read: Read, spec: EnvSpec, n_envs: int) -> MemoryMap:
+    """Return the memory map of hardware for so many slots, with the sizes and the engine that it states.
 
-    ``read`` is a transport's.
+    Where it cannot be for these slots, what it is will be refused by :func:`check_identity`.
     """
+    words = _words(read, 4 * Control.MAGIC, len(_IDENTITY))
+    try:
+        layout = memory_map(spec, n_envs, words[Control.PE_NUM], words[Control.DATA_WL])
+    except ArgumentError:
+        return default_map(spec, n_envs)
+    kind = words[Control.PROTOCOL_VERSION] >> 16
+    words[Control.PROTOCOL_VERSION] &= 0xFFFF
+    if not 0 < kind < len(ENGINE_KINDS) or words != [*identity(Build(spec, layout))]:
+        return layout
+    engine = Engine.of_words(kind, _engine_words(read, layout))
+    return memory_map(spec, n_envs, layout.pe_num, layout.data_wl, engine)
+
+
+def _engine_words(read: Read, layout: MemoryMap) -> list[int]:
+    """Return what hardware says of its policy engine; it stands behind the status."""
+    return _words(read, layout.end("status") + 4 * Statistics.ENGINE, len(Engine._fields) - 1)
+
+
+def _words(read: Read, address: int, count: int) -> list[int]:
+    found = np.empty(4 * count, np.uint8)
+    read(address, found)
+    words: list[int] = found.view("<u4").tolist()
+    return words
+
+
+def check_identity(name: str, read: Read, build: Build) -> None:
+    """Refuse hardware that is not what a batch needs; name the first word that differs, and both values."""
     spec, layout = build
-    expected = identity(build)
-    found = np.empty(4 * len(_IDENTITY), np.uint8)
-    read(layout["control"].offset, found)
-    for field, mine, theirs in zip(_IDENTITY, expected, found.view("<u4").tolist(), strict=True):
+    expected, found = identity(build), _words(read, layout["control"].offset, len(_IDENTITY))
+    version, stated = expected[Control.PROTOCOL_VERSION], found[Control.PROTOCOL_VERSION]
+    found[Control.PROTOCOL_VERSION] ^= (version ^ stated) & 0xFFFF0000  # which is looked at last
+    for field, mine, theirs in zip(_IDENTITY, expected, found, strict=True):
         if theirs != mine:
             show = hex if field in (Control.MAGIC, Control.ENV_HASH) else str
             raise DeviceError(
                 f"the {name} device has {field.name.lower()} {show(theirs)}, this batch needs {show(mine)}: "
                 + _what_differs(field, theirs, spec, layout)
             )
+    engine = layout.engine
+    if version != stated or (engine is not None and _engine_words(read, layout) != [*map(int, engine[1:])]):
+        raise DeviceError(
+            f"the {name} device has another policy engine than this batch has been opened for: load the same "
+            "bitstream, or make a new environment"
+        )
 
 
 def _what_differs(field: Control, theirs: int, spec: EnvSpec, layout: MemoryMap) -> str:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.batch.rollout import Rollout
-from pearl_marl.devices.transport import Transport
+from pearl_marl.devices.transport import Transport, word
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware.policy_words import Quanta, Words, policy_words, quanta
 from pearl_marl.memory_map import (
     SECTION_BITS,
-    STATISTICS_WORDS,
     Control,
     MemoryMap,
     Mode,
@@ -64,19 +64,20 @@ class LinkRollout(NamedTuple):
         for section, words in self.sections.items():
             self._write(transport, section, words)
 
-    def run(self, transport: Transport, mode: Mode, sequence: int) -> tuple[Rollout, int]:
+    def run(self, transport: Transport, mode: Mode, sequence: int, patience: float) -> tuple[Rollout, int]:
         """Do the rollout; return what became of its episodes, as sums over all agents, and the clock cycles.
 
         Raises
         ------
         DeviceError
-            The hardware was reset, or refused a write.
+            The hardware was reset, or refused a write, or has done no step for ``patience`` seconds.
         """
         self._write(transport, Section.QUANTA, self.rewards.numbers)
         transport.write(4 * Control.STEPS, np.array([self.steps], "<u4").view(np.uint8))
         doorbell = np.array([mode | Mode.ROLLOUT, sequence], "<u4")
         transport.write(self.layout["doorbell"].offset, doorbell.view(np.uint8))
         status = np.zeros(4 * len(Status), np.uint8)
+        at, done, until = self.layout["statistics"].offset, -1, time.monotonic() + patience
         while True:
             transport.pause()
             transport.read(self.layout["status"].offset, status)
@@ -88,8 +89,16 @@ class LinkRollout(NamedTuple):
                 )
             if found[Status.SEQUENCE] == sequence:
                 break
-        sums = np.zeros(4 * STATISTICS_WORDS, np.uint8)
-        transport.read(self.layout["statistics"].offset, sums)
+            if time.monotonic() > until:
+                before, done = done, word(transport, at + 4 * Statistics.STEPS)
+                until = time.monotonic() + patience
+                if done == before:
+                    raise DeviceError(
+                        f"the hardware has done {done:,} of {self.steps:,} steps of a rollout, and none for "
+                        f"{patience:g} s: check that its clock runs, or give a longer timeout"
+                    )
+        sums = np.zeros(4 * Statistics.ENGINE, np.uint8)
+        transport.read(at, sums)
         words = sums.view("<i8")
 
         def total(name: Statistics) -> int:

@@ -8,6 +8,7 @@ from typing import Any, NoReturn, TypeVar
 import numpy.typing as npt
 
 from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.checks import checked_count_or_none
@@ -17,12 +18,14 @@ from pearl_marl.devices.divergence import (
     Divergence,
     WordComparison,
     result_words,
+    rollout_words,
     seen_words,
     state_of,
     state_words,
 )
 from pearl_marl.devices.replay import Replay
 from pearl_marl.errors import ArgumentError, LockstepError, PearlError
+from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.spec import EnvSpec
 
 T = TypeVar("T")
@@ -41,6 +44,9 @@ class Lockstep(Device):
     states, after every ``state_every`` steps and at every reset, snapshot and restore. At the first
     difference the call raises :class:`~pearl_marl.errors.LockstepError`, and both devices are given the
     state that the reference had before the call.
+
+    A rollout is one on both, of which sums and states are compared; where they differ, it is done again step
+    by step. One that is recorded, or of so many episodes, is compared at every step.
 
     A state that went wrong between two comparisons is not reported late: the steps since the last
     one are taken again, with a comparison after each, to find the first that differs.
@@ -141,6 +147,45 @@ class Lockstep(Device):
         if len(self._taken) >= self._every:
             self._agreed()
         return ours
+
+    @property
+    def has_engine(self) -> bool:  # type: ignore[override]
+        """Whether the device that is checked has a policy engine."""
+        return self.device.has_engine
+
+    def _rollout_alone(
+        self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
+    ) -> Rollout | None:
+        if record or episodes is not None:  # every step is compared then
+            return None
+        self._compare_states()
+        before = self._since
+        assert before is not None
+        ours, found = self._roll_out(policy, steps)
+        if found:
+            self._continue_from(before)
+            tick = before.tick
+            for k in range(steps):  # the first step that differs, if any does by itself
+                previous = self.reference.snapshot()
+                _, alone = self._roll_out(policy, 1)
+                if alone:
+                    found, before, tick = alone, previous, tick + k
+                    break
+            self._continue_from(before)
+            raise self._error("rollout", found, before, tick=tick)
+        self.tick = self.device.tick
+        self.action_masks, self.in_episode = self.device.action_masks, self.device.in_episode
+        self._agreed()
+        return ours
+
+    def _roll_out(self, policy: DevicePolicy, steps: int) -> tuple[Rollout, WordComparison]:
+        """Do a rollout on both; return the result, and how it and the states compare."""
+        found = WordComparison()
+        ours, theirs = self._both(lambda device: device.rollout(policy, steps))
+        found.add(rollout_words(self.config.n_envs, ours, theirs))
+        self._add_states(found)
+        self.words_compared += found.words
+        return ours, found
 
     def _read(self) -> tuple[Array, Array]:
         self._compare_states()

@@ -211,7 +211,8 @@ class Native(Device):
         config, spec = self.config, self.config.spec
         kernel = native_rollout.kernel(compile_kernels(spec.in_elements, self._elapsed.dtype))
         network = prepared(policy)
-        sums = Sums.of(self._elapsed.repeat(spec.agents), self.in_episode, episodes)
+        acting = self.in_episode & ~self.resetting()
+        sums = Sums.of(self._elapsed.repeat(spec.agents), acting, episodes)
         kept = Record.of(config, steps if record else 0, policy.logits)
         actions = np.zeros((config.n_agents, len(spec.action_fields)), spec.action_dtype)
         done, some = 0, 1

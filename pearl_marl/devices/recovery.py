@@ -47,8 +47,11 @@ class CheckpointLog:
         self._marked: tuple[Kept | None, Calls, int] = None, [], 0
 
     def before(self, device: Any, call: str) -> None:
-        """Keep the state before a step, rather than after one: then what it returned is safe already."""
-        if call == "step_words" and self._every is not None and len(self._calls) >= self._every:
+        """Keep the state before a step, rather than after one: then what it returned is safe already.
+
+        A rollout counts as one step: to repeat it takes the host nothing, and its state is not there yet.
+        """
+        if call in ("step_words", "rollout") and self._every is not None and len(self._calls) >= self._every:
             self._keep(device, device.snapshot())
 
     def after(self, device: Any, call: str, *arguments: Any) -> None:

@@ -38,10 +38,15 @@ class Sums(NamedTuple):
     most: Array  # int64: how many episodes count
 
     @classmethod
-    def of(cls, elapsed: Array, in_episode: Array, episodes: int | None) -> Sums:
-        """Return the sums of no steps; ``elapsed`` are each agent's steps of its episode so far."""
-        n = len(in_episode)
-        whole, waiting = (elapsed == 0).astype(np.uint8), (~in_episode.astype(np.bool_)).astype(np.uint8)
+    def of(cls, elapsed: Array, acting: Array, episodes: int | None) -> Sums:
+        """Return the sums of no steps.
+
+        ``elapsed`` are each agent's steps of its episode so far, ``acting`` whether it takes part in the next
+        one: if not, its next episode is a whole one.
+        """
+        n = len(acting)
+        waiting = (~acting.astype(np.bool_)).astype(np.uint8)
+        whole = (elapsed == 0).astype(np.uint8) | waiting
         return cls(
             np.zeros(n, np.float64),
             np.zeros(n, np.int64),

@@ -27,11 +27,12 @@ import numpy as np
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.checks import checked_count_or_none
 from pearl_marl.devices.comm_bram import CommBram
+from pearl_marl.devices.identity import stated_map
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.transport import Exchange, Transport, word
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware.codec import Stream
-from pearl_marl.memory_map import Control, MemoryMap, memory_map
+from pearl_marl.memory_map import MemoryMap
 
 MAX_WORDS = 2**16 - 1
 """A request can have no more."""
@@ -189,9 +190,7 @@ class Serial(CommBram):
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
         transport = SerialTransport(self._port, self._timeout)
         try:
-            # The one size that the host may leave to the bitstream.
-            pe_num = min(max(1, word(transport, WORD * Control.PE_NUM)), config.n_envs)
-            return transport, memory_map(config.spec, config.n_envs, pe_num, 8 * WORD)
+            return transport, stated_map(transport.read, config.spec, config.n_envs)
         except BaseException:
             transport.close()
             raise

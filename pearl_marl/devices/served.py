@@ -17,8 +17,9 @@ the event. So reads and writes return at once, as on a board, and a step takes i
 The file is read and written by calls, and not mapped: a mapped one that is cut ends the process that
 looks at it.
 
-What a file cannot do: refuse an address, notice that it is read while a step runs, or reset what runs. So
-the host has to wait for the event.
+What a file cannot do: refuse an address, notice that it is read while a step runs, or reset a step that
+runs. So the host has to wait for the event. A rollout, which may take long, tells how far it is meanwhile,
+and a reset ends it.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.devices.xdma_transport import SERVER_LOCK
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware.build import Build
-from pearl_marl.memory_map import Control, Doorbell
+from pearl_marl.memory_map import Control, Doorbell, Engine, Mode, Statistics, Status
 from pearl_marl.spec import EnvSpec
 
 Bytes = npt.NDArray[np.uint8]
@@ -63,7 +64,7 @@ class ServedBoard:
         Where the nodes are made; it is made too. Best in memory, as ``/dev/shm`` is.
     spec, n_envs
         What the board is built for.
-    pe_num, data_wl, path
+    pe_num, data_wl, path, engine
         As for :class:`~pearl_marl.devices.rtl.Rtl`.
 
     Attributes
@@ -71,7 +72,7 @@ class ServedBoard:
     spec, layout
         The environment, and the board's memory map.
     steps
-        How many steps it has done.
+        How many steps it has done, those of rollouts among them.
 
     Raises
     ------
@@ -91,10 +92,12 @@ class ServedBoard:
         pe_num: int | None = None,
         data_wl: int | None = None,
         path: str = "backdoor",
+        engine: Engine | None = None,
     ) -> None:
         checked_choice("path", path, PATHS)
-        build = Build.of(spec, n_envs, pe_num, data_wl)
+        build = Build.of(spec, n_envs, pe_num, data_wl, engine)
         self.spec, self.layout = build
+        self._size = self.layout.end(self.layout.regions[-1].name)
         self.steps = 0
         self._folder = Path(folder)
         with contextlib.ExitStack() as opened:
@@ -140,6 +143,8 @@ class ServedBoard:
             if (sequence := self._sequence()) != self._rung:
                 self._rung = sequence
                 self._step()
+            elif self._resets():  # too late for the rollout that it was for
+                self._reset()
 
     def stop(self) -> None:
         """Let :meth:`serve` return after the step that it is at; from any thread, or a signal's handler."""
@@ -181,10 +186,10 @@ class ServedBoard:
         self._file = os.open(c2h, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         opened.callback(os.close, self._file)
         # Space is there from the beginning, or there would be none when a step needs it.
-        os.posix_fallocate(self._file, 0, layout.end("status"))
+        os.posix_fallocate(self._file, 0, self._size)
         # What the host has written, and what both sides have seen: the memories of a board that has just
         # started hold anything.
-        self._memory = np.zeros(layout.end("status"), np.uint8)
+        self._memory = np.zeros(self._size, np.uint8)
         self._shared = ~self._memory
         self._answer = np.empty(layout.step_read[1], np.uint8)
         settings = 4 * Control.SEED_0, 4 * (Control.MAX_CYCLES + 1)
@@ -192,7 +197,16 @@ class ServedBoard:
         for name in ("initial_states", "current_states", "elapsed", "reset_mask"):
             self._from_host.append((layout[name].offset, layout.end(name)))
         self._to_host = [settings, (layout["current_states"].offset, layout.end("elapsed"))]
-        for begin, end in ((0, layout.end("control")), (layout["doorbell"].offset, layout.end("doorbell"))):
+        stated = ["control", "doorbell"]
+        if layout.engine is not None:
+            self._to_host.append((layout["statistics"].offset, layout.end("statistics")))
+            stated.append("statistics")
+            # Zeros, so that what the host leaves out need not be written.
+            begin, end = layout["policy"].offset, layout.end("policy")
+            self._simulation.write(begin, self._memory[begin:end])
+            self._shared[begin:end] = 0
+        for name in stated:
+            begin, end = layout[name].offset, layout.end(name)
             self._simulation.read(begin, self._memory[begin:end])
             self._put(begin, self._memory[begin:end])
 
@@ -231,7 +245,7 @@ class ServedBoard:
             done += os.pwrite(self._file, part.data[done:], begin + done)
 
     def _check_size(self) -> None:
-        size, whole = os.fstat(self._file).st_size, self.layout.end("status")
+        size, whole = os.fstat(self._file).st_size, self._size
         if size < whole:
             raise DeviceError(
                 f"somebody has cut {self._nodes()[1]} to {size:,} of {whole:,} bytes: start `pearl serve` "
@@ -251,15 +265,78 @@ class ServedBoard:
         write_at, length = layout.step_write
         read_at, _ = layout.step_read
         self._get(write_at, write_at + length)
-        simulation.step(write_at, memory[write_at : write_at + length], read_at, self._answer)
+        if not self._rings_rollout():
+            simulation.step(write_at, memory[write_at : write_at + length], read_at, self._answer)
+            self.steps += 1
+        elif self._roll_out():
+            simulation.read(read_at, self._answer)
+        else:
+            return
         for begin, end in self._to_host:
             simulation.read(begin, shared[begin:end])
             self._put(begin, shared[begin:end])
         status = layout["status"].offset
         self._put(read_at, self._answer[: status - read_at])
         self._put(status, self._answer[status - read_at :])
-        self.steps += 1
         # As in the driver, events that were not read are one.
         with contextlib.suppress(BlockingIOError):
             os.read(self._events, 1 << 12)
         os.write(self._events, struct.pack("=I", 1))
+
+    def _rings_rollout(self) -> bool:
+        """Return whether the doorbell is that of a rollout."""
+        mode = self.layout["doorbell"].offset + 4 * Doorbell.MODE
+        rollout = int(self._memory[mode : mode + 4].view("<u4")[0]) & Mode.ROLLOUT
+        return self.layout.engine is not None and bool(rollout)
+
+    def _roll_out(self) -> bool:
+        """Do a rollout; return whether it has ended, and was not given up."""
+        layout, simulation = self.layout, self._simulation
+        self._take_policy()
+        steps = 4 * Control.STEPS
+        simulation.write(steps, self._get(steps, steps + 4))
+        begin, end = layout["doorbell"].offset, layout.end("doorbell")
+        simulation.write(begin, self._memory[begin:end])
+        status, sums = np.zeros(4 * len(Status), np.uint8), np.zeros(4 * Statistics.ENGINE, np.uint8)
+        stopping = select.poll()
+        stopping.register(self._stopping, select.POLLIN)
+        while True:
+            simulation.pause()
+            simulation.read(layout["statistics"].offset, sums)
+            simulation.read(layout["status"].offset, status)
+            if status.view("<u4")[Status.SEQUENCE] == self._rung:
+                self.steps += int(sums.view("<u4")[Statistics.STEPS])
+                return True
+            self._put(layout["statistics"].offset, sums)
+            if stopping.poll(0):
+                return False
+            if self._resets():
+                self._reset()
+                return False
+
+    def _resets(self) -> bool:
+        """Return whether the host has asked for a reset."""
+        return bool(self._get(4 * Control.RESET, 4 * Control.RESET + 4).any())
+
+    def _take_policy(self) -> None:
+        """Write the words of the policy that the host has changed."""
+        begin, end, size = self.layout["policy"].offset, self.layout.end("policy"), self.layout.data_wl // 8
+        new, old = self._get(begin, end).reshape(-1, size), self._shared[begin:end].reshape(-1, size)
+        changed = np.flatnonzero((new != old).any(1))
+        for run in np.split(changed, np.flatnonzero(np.diff(changed) > 1) + 1):
+            if run.size:
+                self._simulation.write(begin + size * int(run[0]), new[run[0] : run[-1] + 1].ravel())
+        old[:] = new
+
+    def _reset(self) -> None:
+        """Reset the board in the middle of a rollout, as the host has asked for."""
+        layout, simulation, reset = self.layout, self._simulation, 4 * Control.RESET
+        simulation.write(reset, self._memory[reset : reset + 4])
+        simulation.pause()
+        self._rung = 0
+        for begin, end in self._to_host:
+            simulation.read(begin, self._shared[begin:end])
+        for name in ("control", "doorbell", "status"):
+            begin, end = layout[name].offset, layout.end(name)
+            simulation.read(begin, self._memory[begin:end])
+            self._put(begin, self._memory[begin:end])

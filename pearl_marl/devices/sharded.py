@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
+from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.checks import checked_count_or_none
@@ -31,6 +32,7 @@ from pearl_marl.devices.by_name import make_distinct
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ArgumentError, DeviceError
+from pearl_marl.policies.device_policy import DevicePolicy
 
 T = TypeVar("T")
 
@@ -136,6 +138,26 @@ class Sharded(Device):
     def _may_have_moved(self) -> bool:
         return True  # those of other parts
 
+    @property
+    def has_engine(self) -> bool:  # type: ignore[override]
+        """Whether all parts have a policy engine."""
+        return all(part.has_engine for part in self.parts)
+
+    def _rollout_alone(
+        self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
+    ) -> Rollout | None:
+        if not self.has_engine or record or episodes is not None:
+            return None
+        try:
+            shares = self.on_all(lambda part, _: part.rollout(policy, steps))
+        except BaseException:
+            if any(part.phase is Phase.FAILED or part.tick != self.tick for part in self.parts):
+                self.fail()
+            raise
+        self.tick = self.parts[0].tick
+        _, self.action_masks, self.in_episode = self._gathered()
+        return Rollout.total(shares)
+
     def rows(self, slots: slice) -> slice:
         """Return the rows that the agents of some slots have."""
         agents = self.config.spec.agents
@@ -180,10 +202,16 @@ class Sharded(Device):
     def _restart(self, call: Callable[[Device, slice], Array]) -> Observed:
         """Reset or restore all parts; return what agents see."""
         shares = self._change(call)
+        observed = self._gathered()
+        for slots, share in zip(self._slots, shares, strict=True):
+            observed.obs[self.rows(slots)] = share
+        return observed
+
+    def _gathered(self) -> Observed:
+        """Return which agents are in an episode, and their masks, with room for what they observe."""
         results = self._results.take()
-        for part, slots, share in zip(self.parts, self._slots, shares, strict=True):
+        for part, slots in zip(self.parts, self._slots, strict=True):
             rows = self.rows(slots)
-            results.obs[rows] = share
             if results.action_masks is not None:
                 results.action_masks[rows] = part.action_masks
             if self.config.spec.agents > 1:

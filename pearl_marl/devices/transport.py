@@ -271,14 +271,15 @@ class Protocol:
         """Make sure that the hardware is there and idle, and take up its sequence number.
 
         The whole batch is to be written afterwards, so a step that does not end within ``patience`` seconds
-        is thrown away: the hardware is reset.
+        is thrown away: the hardware is reset. So is a rollout at once, which may take long.
         """
         self.transport.reconnect()
         check_identity(self._name, self.transport.read, Build(self._spec, self.layout))
         self.settings = self.policy = None
         deadline = time.monotonic() + patience
         while (rung := self._word("doorbell", Doorbell.SEQUENCE)) != self._word("status", Status.SEQUENCE):
-            if time.monotonic() > deadline:
+            endless = self.layout.engine is not None and self._word("doorbell", Doorbell.MODE) & Mode.ROLLOUT
+            if endless or time.monotonic() > deadline:
                 self._reset_hardware(rung, patience)
                 rung = 0
                 break
@@ -289,7 +290,11 @@ class Protocol:
         """End step ``rung``, which does not end by itself: a core of one's own may be at fault."""
         self.transport.write(4 * Control.RESET, np.array([1], "<u4").view(np.uint8))
         deadline = time.monotonic() + patience
-        while not self._word("status", Status.ERROR) & StatusError.RESET:
+        # A status may be from before the doorbell: what rang is forgotten, too.
+        while (
+            self._word("doorbell", Doorbell.SEQUENCE)
+            or not self._word("status", Status.ERROR) & StatusError.RESET
+        ):
             if time.monotonic() > deadline:
                 raise DeviceError(
                     f"the {self._name} device has been busy with step {rung} for {patience:g} s, and "

@@ -15,11 +15,12 @@ import numpy as np
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.checks import checked_choice, checked_count_or_none, checked_number
 from pearl_marl.devices.comm_bram import CommBram
+from pearl_marl.devices.identity import stated_map
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.transport import Transport
 from pearl_marl.devices.xdma_transport import COMPLETIONS, XdmaTransport
 from pearl_marl.errors import ArgumentError
-from pearl_marl.memory_map import Control, MemoryMap, default_map, memory_map
+from pearl_marl.memory_map import MemoryMap
 
 
 class Xdma(CommBram):
@@ -35,7 +36,7 @@ class Xdma(CommBram):
         board's interrupt first. ``None`` is ``"event"`` for a served board, which knows no other way, and
         ``"poll"`` for a real one.
     timeout
-        Seconds until a step is given up.
+        Seconds until a step is given up, or a rollout that gets no further.
     checkpoint_every
         Steps between two states that are kept on the host for :meth:`recover`; ``None`` keeps nothing.
     """
@@ -64,17 +65,10 @@ class Xdma(CommBram):
 
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
         transport = self.transport_type(self.board, self._completion, self.patience)
-        found = np.empty(4 * Control.SEED_0, np.uint8)
         try:
-            transport.read(0, found)
+            layout = stated_map(transport.read, config.spec, config.n_envs)
         except BaseException:
             transport.close()
             raise
         transport.recoverable = True
-        words = found.view("<u4").tolist()
-        try:
-            # The sizes that the board states.
-            layout = memory_map(config.spec, config.n_envs, words[Control.PE_NUM], words[Control.DATA_WL])
-        except ArgumentError:  # no board of ours, or not for so many slots: its identity will tell
-            layout = default_map(config.spec, config.n_envs)
         return transport, layout

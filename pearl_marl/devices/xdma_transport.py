@@ -104,6 +104,13 @@ class XdmaTransport(Transport):
         if self._events >= 0:
             self._await_event(self._timeout)
 
+    def pause(self) -> None:
+        """Let some time pass, but no longer than until the interrupt, where there is one."""
+        if self._events >= 0:
+            self._await_event(_MAX_PAUSE)
+        else:
+            super().pause()
+
     def unfinished(self, step: Exchange, waited: float) -> bool:
         """Have what is not of this step, or was read before its end, read again until the time is over."""
         if step.done and (self._interrupted or self._events < 0 or step.error):
@@ -123,8 +130,10 @@ class XdmaTransport(Transport):
         return True
 
     def reconnect(self) -> None:
-        """Open the nodes again, if anything has failed since they were opened."""
-        if self._failed:
+        """Open the nodes again, if anything has failed since they were opened, or the server has ended."""
+        served = isinstance(self._board, str) and self._events >= 0
+        server_ended = served and any(what & ~select.POLLIN for _, what in self._poller.poll(0))
+        if self._failed or server_ended:
             self.close()
             self._open()
             self._failed = False

@@ -18,8 +18,10 @@ from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.engines import with_engine
 from pearl_marl.hardware.fitting import PARTS, modelled_bram36, most
-from pearl_marl.memory_map import MemoryMap
+from pearl_marl.memory_map import Engine, MemoryMap
+from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.spec import EnvSpec
 
 SOURCES, FACTS = "sources.f", "board.json"
@@ -149,8 +151,14 @@ def find(name: str) -> Board:
     return BOARDS[name]
 
 
-def board_build(board: Board, spec: EnvSpec, n_envs: int, pe_num: int | None = None) -> Build:
-    """Return a build for a board, whose bus says how wide a word is.
+def board_build(
+    board: Board,
+    spec: EnvSpec,
+    n_envs: int,
+    pe_num: int | None = None,
+    policy: DevicePolicy | None = None,
+) -> Build:
+    """Return a build for a board, whose bus says how wide a word is; for ``policy`` see :func:`with_engine`.
 
     Raises
     ------
@@ -169,7 +177,7 @@ def board_build(board: Board, spec: EnvSpec, n_envs: int, pe_num: int | None = N
             f"{n_envs:,} slots of {spec.name} need {needed(n_envs):,.1f} BRAM36, and the {board.title} has "
             f"{board.bram36:,}: {fitting:,} slots fit"
         )
-    return build
+    return with_engine(build, policy)
 
 
 def size(layout: MemoryMap) -> str:
@@ -178,10 +186,10 @@ def size(layout: MemoryMap) -> str:
     return f"{layout.n_envs:,} slot{'s' * (layout.n_envs != 1)}, {elements}, {layout.data_wl}-bit words"
 
 
-def sources(board: Board, spec: EnvSpec) -> list[Path]:
+def sources(board: Board, spec: EnvSpec, engine: Engine | None = None) -> list[Path]:
     """Return every file of a board's design but the one with its sizes, in the order of reading."""
     folder = _folder(board)
-    design = elaboration.sources(spec, board.target)
+    design = elaboration.sources(spec, board.target, engine)
     folders = (folder.parent, *(folder.parent / part for part in board.parts), folder)
     return [*design, *(path for each in folders for path in sorted(each.glob("*.sv")))]
 
@@ -198,13 +206,14 @@ def facts(board: Board, build: Build) -> dict[str, Any]:
         "n_envs": layout.n_envs,
         "pe_num": layout.pe_num,
         "data_wl": layout.data_wl,
+        "engine": None if layout.engine is None else layout.engine._asdict(),
         "env_hash": elaboration.env_hash(spec),
     }
 
 
 def write(board: Board, build: Build, folder: Path) -> list[str]:
     """Write all that a tool needs for a bitstream into ``folder``; return the names of the files."""
-    paths = sources(board, build.spec)
+    paths = sources(board, build.spec, build.layout.engine)
     listed = [SIZES, *(f"rtl/{path.name}" for path in paths)]
     texts = {
         SIZES: _sizes(build),

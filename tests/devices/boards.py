@@ -18,7 +18,7 @@ from pearl_marl.devices import BatchConfig, Xdma
 from pearl_marl.devices.served import ServedBoard
 from pearl_marl.devices.transport import Exchange, Transport
 from pearl_marl.devices.xdma_transport import XdmaTransport
-from pearl_marl.memory_map import MemoryMap, Status, StatusError
+from pearl_marl.memory_map import Engine, MemoryMap, Status, StatusError
 
 IN_MEMORY = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
 
@@ -40,9 +40,15 @@ def served(folder: Path | str, *arguments: Any, **options: Any) -> Iterator[Serv
 class OwnBoard(Xdma):
     """A board that is served for this device alone, whatever batch it is opened for."""
 
-    def __init__(self, pe_num: int | None = None, data_wl: int | None = None, **options: Any) -> None:
+    def __init__(
+        self,
+        pe_num: int | None = None,
+        data_wl: int | None = None,
+        engine: Engine | None = None,
+        **options: Any,
+    ) -> None:
         super().__init__("", **options)
-        self._sizes = pe_num, data_wl
+        self._sizes, self.engine = (pe_num, data_wl), engine
 
     def restart(self) -> None:
         """End the board's server and start another one: a board that comes back with nothing in it."""
@@ -52,7 +58,7 @@ class OwnBoard(Xdma):
     def _serve(self) -> None:
         spec, n = self._batch
         self._server = contextlib.ExitStack()
-        self._server.enter_context(served(self.board, spec, n, *self._sizes))
+        self._server.enter_context(served(self.board, spec, n, *self._sizes, engine=self.engine))
 
     def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
         self._folder = tempfile.TemporaryDirectory(prefix="pearl-test-", dir=IN_MEMORY)

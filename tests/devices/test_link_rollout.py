@@ -208,7 +208,7 @@ def test_nothing_but_sums_crosses_the_link() -> None:
     with mock.patch.multiple(transport, read=counting("read"), write=counting("write")):
         device.rollout(policy, 400)
     assert moved == {"read": {"status", "statistics"}, "write": {"control", "policy", "doorbell"}}
-    assert counts["read"] == 4 * STATISTICS_WORDS
+    assert counts["read"] == 4 * Statistics.ENGINE
     assert counts["write"] < 100
     device.close()
 

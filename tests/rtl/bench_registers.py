@@ -14,7 +14,7 @@ from pearl_marl.memory_map import MAGIC, PROTOCOL_VERSION, Control, Doorbell, Mo
 @each_variant()
 async def words_equal_the_model(dut: Any, given: Any) -> None:
     per_word = given.word // 32
-    identity = [MAGIC, PROTOCOL_VERSION, 0x1234, 7, 4, given.word, 6, 9]
+    identity = [MAGIC, PROTOCOL_VERSION | given.engine << 16, 0x1234, 7, 4, given.word, 6, 9]
 
     def words_of(data: int) -> list[int]:
         return [data >> (32 * i) & 0xFFFFFFFF for i in range(per_word)]
@@ -73,7 +73,8 @@ async def words_equal_the_model(dut: Any, given: Any) -> None:
             control[Control.TICK_LOW], control[Control.TICK_HIGH] = tick & 0xFFFFFFFF, tick >> 32
         if kind == "control":
             status[Status.ERROR] &= ~StatusError.RESET
-            for word in range(Control.SEED_0, Control.RESET):
+            settings = [*range(Control.SEED_0, Control.RESET), *[Control.STEPS] * bool(given.engine)]
+            for word in settings:
                 control[word] = written.get(word, control[word])
         elif kind != "none":
             doorbell = [written.get(word, doorbell[word]) for word in Doorbell]

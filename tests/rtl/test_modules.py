@@ -114,8 +114,13 @@ MODULES = {
         for word, words, bits in ((32, 16, 10), (128, 4, 60))
     ],
     "registers": [
-        variant("pearl_registers", {"DATA_WL": word, "ENV_HASH": 0x1234}, word=word)
-        for word in (32, 64, 128, 1024)
+        variant(
+            "pearl_registers",
+            {"DATA_WL": word, "ENV_HASH": 0x1234, "ENGINE": engine},
+            word=word,
+            engine=engine,
+        )
+        for word, engine in ((32, 0), (32, 2), (64, 0), (128, 1), (1024, 0))
     ],
     "sequencer": [variant("pearl_sequencer", {})],
     "group_reader": [

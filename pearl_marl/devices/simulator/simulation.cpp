@@ -105,8 +105,8 @@ struct Host {
         }
     }
 
-    void wait_for_end() {
-        for (uint64_t i = 0; i < patience && answer == kOkay; i++) {
+    void wait_for_end(uint64_t most) {
+        for (uint64_t i = 0; i < most && answer == kOkay; i++) {
             settle();
             const bool ended = top->irq_o;
             edge();
@@ -324,9 +324,10 @@ int pearl_read(Host* host, uint64_t begin, uint8_t* data, uint64_t length) {
     return host->take_answer();
 }
 
-int pearl_wait(Host* host) {
+// Until the interrupt, but no longer than so many clock cycles.
+int pearl_wait(Host* host, uint64_t most) {
     host->enter();
-    host->wait_for_end();
+    host->wait_for_end(most);
     return host->take_answer();
 }
 
@@ -336,7 +337,7 @@ int pearl_step(
 ) {
     host->enter();
     host->write(write_begin, written, write_length);
-    if (host->answer == kOkay) host->wait_for_end();
+    if (host->answer == kOkay) host->wait_for_end(host->patience);
     if (host->answer == kOkay) host->read(read_begin, data, read_length);
     return host->take_answer();
 }

@@ -26,6 +26,9 @@ _ANSWERS = {
 
 _NOT_ENDED = 2
 
+_PAUSE_CYCLES = 10_000
+"""So many take less than a second to simulate, of the largest designs, too."""
+
 
 class Simulation(Transport):
     """A simulated board as a transport.
@@ -45,9 +48,9 @@ class Simulation(Transport):
         if backdoor:
             bounds[:] = [bound for name in names for bound in (layout[name].offset, layout.end(name))]
         # No core needs as many cycles for a slot, so a step that takes longer hangs.
-        patience = 100_000 + 1000 * layout.n_envs
+        self._patience = 100_000 + 1000 * layout.n_envs
         self._host = self._functions.pearl_open(
-            self._model.model, self._model.vcd_trace, patience, bounds.ctypes.data, layout.groups
+            self._model.model, self._model.vcd_trace, self._patience, bounds.ctypes.data, layout.groups
         )
 
     @property
@@ -65,11 +68,11 @@ class Simulation(Transport):
 
     def wait(self, step: Exchange) -> None:
         """Clock until the interrupt."""
-        self._check(self._functions.pearl_wait(self._host))
+        self._check(self._functions.pearl_wait(self._host, self._patience))
 
     def pause(self) -> None:
         """Clock until the interrupt, or for many cycles."""
-        answer = self._functions.pearl_wait(self._host)
+        answer = self._functions.pearl_wait(self._host, _PAUSE_CYCLES)
         if answer != _NOT_ENDED:
             self._check(answer)
 
@@ -125,7 +128,7 @@ def _declared(lib: Any) -> Any:
         ("pearl_clock", size, (pointer,)),
         ("pearl_write", ctypes.c_int, (pointer, *transfer)),
         ("pearl_read", ctypes.c_int, (pointer, *transfer)),
-        ("pearl_wait", ctypes.c_int, (pointer,)),
+        ("pearl_wait", ctypes.c_int, (pointer, size)),
         ("pearl_step", ctypes.c_int, (pointer, *transfer, *transfer)),
     ):
         function = getattr(lib, name)

@@ -1,0 +1,98 @@
+"""The policy engine for a policy: as large as it needs, and as fast as it may be."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pearl_marl.errors import ArgumentError
+from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.policy_words import policy_words
+from pearl_marl.memory_map import Engine, MemoryMap, memory_map
+from pearl_marl.policies.device_policy import DevicePolicy
+from pearl_marl.policies.integer_network import IntegerNetwork, Rows, Scaling
+
+PRODUCTS = 8
+"""Of each agent in a cycle."""
+
+ROUNDS = 4
+"""Batches that a layer takes one after the other, so that the pauses between layers matter little."""
+
+
+class Widths(NamedTuple):
+    """The least widths that an engine gets: so another policy of the same shape fits it, too."""
+
+    weight_bits: int = 8
+    value_bits: int = 12
+    logit_bits: int = 8
+
+
+LEAST = Widths()
+
+
+def with_engine(build: Build, policy: DevicePolicy | None) -> Build:
+    """Return a build with an engine for a policy; the build itself, if there is none.
+
+    Raises
+    ------
+    ArgumentError
+        No engine takes the policy.
+    """
+    if policy is None:
+        return build
+    spec, layout = build
+    if policy.spec.id != spec.id or policy.spec.options != spec.options:
+        raise ArgumentError(f"the policy is for {policy.spec.id}, and the build for {spec.id}")
+    engine = _engine(policy, layout)
+    return Build(spec, memory_map(spec, layout.n_envs, layout.pe_num, layout.data_wl, engine))
+
+
+def _engine(policy: DevicePolicy, layout: MemoryMap) -> Engine:
+    engine = Engine()
+    if isinstance(policy, IntegerNetwork):
+        drawn = policy.draws > 0
+        if isinstance(policy.inputs, Rows):
+            rows = len(policy.inputs.table)
+            logits = policy.inputs.table.astype(np.int64) + policy.layers[0].bias
+            engine = Engine(
+                "table",
+                drawn,
+                table_rows=1 << max(0, (rows - 1).bit_length()),
+                logit_bits=max(LEAST.logit_bits, -(-_bits(logits) // 4) * 4),
+            )
+        elif isinstance(policy.inputs, Scaling):
+            engine = _network(policy, drawn, layout)
+    policy_words(policy, engine)  # refuses what no engine takes
+    return engine
+
+
+def _network(policy: IntegerNetwork, drawn: bool, layout: MemoryMap) -> Engine:
+    assert isinstance(policy.inputs, Scaling)
+    layers = policy.layers
+    values = [policy.inputs.limit, *(layer.limit for layer in layers[:-1])]
+    values += [
+        int(edge) for layer in layers[:-1] if len(layer.activation) for edge in _edges(layer.activation)
+    ]
+    rounds = min(ROUNDS if len(layers) > 1 else 1, layout.groups)
+    return Engine(
+        "network",
+        drawn,
+        products=PRODUCTS,
+        rounds=rounds,
+        hidden=max([1, *(len(layer.bias) for layer in layers[:-1])]),
+        layers=len(layers),
+        weight_bits=max([LEAST.weight_bits, *(_bits(layer.weights) for layer in layers)]),
+        value_bits=max(LEAST.value_bits, _bits(np.array(values))),
+    )
+
+
+def _edges(numbers: npt.NDArray[np.integer]) -> tuple[int, int]:
+    return int(numbers.min()), int(numbers.max())
+
+
+def _bits(numbers: npt.NDArray[np.integer]) -> int:
+    """Return the width of integers, sign included."""
+    low, high = _edges(numbers) if numbers.size else (0, 0)
+    return max(high.bit_length(), (~low if low < 0 else low).bit_length()) + 1
