@@ -8,6 +8,7 @@ from an index on that no environment uses, so that a rollout is what single step
 
 from __future__ import annotations
 
+import functools
 from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -17,7 +18,7 @@ import numpy.typing as npt
 from gymnasium.spaces import Box
 
 from pearl_marl import rng
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import EnvSpec, Itself
 
 Array = npt.NDArray[Any]
 
@@ -85,8 +86,12 @@ def elements_of(spec: EnvSpec) -> EnvSpec:
 
     It is the same spec where they are integers already.
     """
-    if spec.observation_dtype.kind in "biu":
-        return spec
+    return spec if spec.observation_dtype.kind in "biu" else _elements_of(Itself(spec))
+
+
+@functools.lru_cache(maxsize=64)
+def _elements_of(itself: Itself) -> EnvSpec:
+    spec = itself.spec
     fields = tuple(replace(field, fraction=0) for field in spec.observation)
     dtype = np.int64 if any(field.bits + (not field.signed) > 32 for field in fields) else np.int32
     low, high = np.array([field.range for field in fields], np.int64).T
