@@ -416,6 +416,7 @@ class Room(NamedTuple):
     all_sums: Array
     all_bytes: Array
     best: Array  # int32, (2, TILE): an action, and its logit
+    rows: Array  # int64, (TILE,): rows of a table
 
 
 @allocating
@@ -445,14 +446,17 @@ def _room_for(net: Prepared) -> Room:
         sums,
         net.bytes.reshape(-1),
         np.zeros((2, TILE), np.int32),
+        np.zeros(TILE, np.int64),
     )
 
 
 @called
 def _transpose(elements: Array, width: int, sign: int, first: int, n: int, taken: Array) -> None:
+    # Of unsigned indices none counts from the end: a loop that has to look is not vectorised.
     for k in range(width):
+        own = elements[first * width + k :]
         for s in range(n):
-            word = np.int64(elements[(first + s) * width + k])
+            word = np.int64(own[np.uint64(s) * np.uint64(width)])
             taken[k, s] = word - ((word & sign) << 1)
 
 
@@ -548,11 +552,28 @@ def _activate(net: Prepared, layer: int, room: Room) -> None:
 
 
 @called
-def _row_of(net: Prepared, choice: int, taken: Array, s: int) -> Any:
-    row = net.offset[choice]
+def _find_rows(net: Prepared, choice: int, room: Room) -> None:
+    """Find the row of the table that each agent of a tile chooses."""
+    rows, taken = room.rows, room.taken
+    for s in range(TILE):
+        rows[s] = net.offset[choice]
     for e in range(net.width):
-        row += net.factors[choice, e] * taken[e, s]
-    return row
+        factor = net.factors[choice, e]
+        for s in range(TILE):
+            rows[s] += factor * taken[e, s]
+
+
+@called
+def _pick(net: Prepared, first: int, n: int, room: Room, words: Array, logits: Array) -> None:
+    """Choose the actions of a tile by its rows alone."""
+    own = words[first : first + n]
+    for k in range(words.shape[1]):
+        for s in range(n):
+            own[s, k] = net.picks[np.uint64(room.rows[s]), k]
+    if len(logits):
+        for s in range(n):
+            for j in range(logits.shape[1]):
+                logits[first + s, j] = net.table[room.rows[s], j] + net.bias[j]
 
 
 @called
@@ -563,11 +584,11 @@ def _begin(net: Prepared, n: int, first_agent: int, room: Room) -> None:
         for s in range(TILE):
             sums[j, s] = net.bias[j]
     if net.kind == LOOKED_UP:
-        for s in range(n):
-            for k in range(len(net.offset)):
-                row = _row_of(net, k, room.taken, s)
+        for k in range(len(net.offset)):
+            _find_rows(net, k, room)
+            for s in range(n):
                 for j in range(net.table.shape[1]):
-                    sums[j, s] += net.table[row, j]
+                    sums[j, s] += net.table[room.rows[s], j]
     agents = len(net.indicator)
     if agents:
         for s in range(n):
@@ -666,12 +687,8 @@ def _act(net, elements, masks, draws, words, logits):  # type: ignore[no-untyped
         some = min(TILE, len(words) - start)
         if net.kind == PICKED:
             _take(net, elements, start, some, room.taken)
-            for s in range(some):
-                row = _row_of(net, 0, room.taken, s)
-                for k in range(words.shape[1]):
-                    words[start + s, k] = net.picks[row, k]
-                for j in range(logits.shape[1] if len(logits) else 0):
-                    logits[start + s, j] = net.table[row, j] + net.bias[j]
+            _find_rows(net, 0, room)
+            _pick(net, start, some, room, words, logits)
         else:
             _add_up(net, elements, start, some, room)
             _choose(net, room, start, some, masks, draws, words, logits)
