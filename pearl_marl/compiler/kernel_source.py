@@ -7,26 +7,14 @@ spec but what the first lines of the source tell.
 from __future__ import annotations
 
 import functools
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from pearl_marl.batch.slot_memory import counter_dtype
 from pearl_marl.compiler.kernel_loops import KERNELS
 from pearl_marl.compiler.straight_line import golden_functions
-from pearl_marl.spec import EnvSpec
-
-
-class _Itself(NamedTuple):
-    """A spec that equals only itself, since not all that it has can be hashed."""
-
-    spec: EnvSpec
-
-    def __hash__(self) -> int:
-        return id(self.spec)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Itself) and self.spec is other.spec
+from pearl_marl.spec import EnvSpec, Itself
 
 
 def kernel_source(spec: EnvSpec, counter: np.dtype[Any] | None = None) -> str:
@@ -34,7 +22,7 @@ def kernel_source(spec: EnvSpec, counter: np.dtype[Any] | None = None) -> str:
 
     ``counter`` is the dtype of elapsed steps; ``None`` is what the environment's own time limit takes.
     """
-    return _source(_Itself(spec), counter_of(spec, counter))
+    return _source(Itself(spec), counter_of(spec, counter))
 
 
 def counter_of(spec: EnvSpec, counter: np.dtype[Any] | None) -> str:
@@ -43,7 +31,7 @@ def counter_of(spec: EnvSpec, counter: np.dtype[Any] | None) -> str:
 
 
 @functools.lru_cache(maxsize=64)
-def _source(itself: _Itself, counter: str) -> str:
+def _source(itself: Itself, counter: str) -> str:
     spec = itself.spec
     facts = {
         "state": spec.state,

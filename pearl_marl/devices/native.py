@@ -24,9 +24,9 @@ from pearl_marl.batch.step import Array, BatchStep, Observed
 from pearl_marl.checks import checked_count_or_none
 from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import compile_kernels
-from pearl_marl.devices import native_rollout
 from pearl_marl.devices.base import Device, Phase
-from pearl_marl.devices.rollouts import Record, Sums
+from pearl_marl.devices.native_rollout import Batch, addresses_for, compiled_rollout
+from pearl_marl.devices.rollouts import Record, Sums, element_dtype
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ActionError
 from pearl_marl.golden import rng
@@ -209,17 +209,19 @@ class Native(Device):
         if not isinstance(policy, IntegerNetwork):
             return super()._rollout(policy, steps, record, episodes)
         config, spec = self.config, self.config.spec
-        kernel = native_rollout.kernel(compile_kernels(spec.in_elements, self._elapsed.dtype))
-        network = prepared(policy)
+        seen = spec.in_elements
+        kernels, network = compile_kernels(seen, self._elapsed.dtype), prepared(policy, element_dtype(seen))
+        actions = np.dtype(spec.action_dtype)
+        addresses = addresses_for(kernels, actions, self._arguments, self.reward_table, network)
         acting = self.in_episode & ~self.resetting()
         sums = Sums.of(self._elapsed.repeat(spec.agents), acting, episodes)
         kept = Record.of(config, steps if record else 0, policy.logits)
-        actions = np.zeros((config.n_agents, len(spec.action_fields)), spec.action_dtype)
+        in_bytes = kept._replace(elements=kept.elements.view(np.uint8))
         done, some = 0, 1
         while done < steps:
             some = min(some, steps - done)
             began = time.perf_counter()
-            self._run_rollout(kernel, network, actions, sums, kept.between(done, done + some), some)
+            self._run_rollout(addresses, network, sums, in_bytes.between(done, done + some), some)
             done += some
             seconds = time.perf_counter() - began
             # Between two parts Ctrl-C has its effect.
@@ -229,19 +231,17 @@ class Native(Device):
 
     @uninterrupted
     def _run_rollout(
-        self, kernel: Any, network: Prepared, actions: Array, sums: Sums, record: Record, steps: int
+        self, addresses: tuple[int, int], network: Prepared, sums: Sums, record: Record, steps: int
     ) -> None:
         """Do some steps of a rollout."""
-        elements, masks, in_episode = self.elements()
-        if masks is None:
-            masks = np.zeros((0, 0), np.int8)
+        batch = Batch.of(self.config, self.elements())
         self._arguments[_SEEDS] = self._seed = self.seed
         arguments = self._arguments.copy()
         arguments[STEP_ARGUMENTS.index("checked")] = 0
-        observed = elements, masks, in_episode.view(np.uint8)
+        batch.put_into(arguments)
         agents = self.config.spec.agents
-        batch = arguments, self.reward_table, network, actions, *observed, sums, record, agents, steps
-        self._run(kernel, batch)
+        whole = *addresses, arguments, self.reward_table, network, batch, sums, record, agents, steps
+        self._run(compiled_rollout(), whole)
         self.tick = (self.tick + steps) & rng.LAST_TICK
 
     def _tune(self, seconds: float) -> None:

@@ -1,144 +1,200 @@
-"""Rollouts on the CPU: act, step, act, step, while a block of slots is in the processor's cache."""
+"""Rollouts on the CPU: act, step, act, step, while a block of slots is in the processor's cache.
+
+One loop is compiled for all environments and policies. It is given the addresses of what differs: of the
+kernel ``step``, and of the policy.
+"""
 
 from __future__ import annotations
 
-import hashlib
-import inspect
 from collections.abc import Callable
-from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 
-from pearl_marl.base.machine_code import kept_code
-from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
+from pearl_marl.batch.config import BatchConfig
+from pearl_marl.batch.step import Array, Observed
+from pearl_marl.compiler import addresses
+from pearl_marl.compiler.addresses import address_of, call_act, call_step
+from pearl_marl.compiler.kernel_loops import BLOCK, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import Kernels
-from pearl_marl.compiler.loading import load, with_callees
+from pearl_marl.compiler.loading import compiled_loop, with_callees
+from pearl_marl.devices import rollouts
+from pearl_marl.devices.rollouts import Sums
 from pearl_marl.golden import rng
 from pearl_marl.golden.rng import CHAIN_A, CHAIN_B
-from pearl_marl.policies import device_policy, integer_loops, integer_network
+from pearl_marl.policies import device_policy, integer_loops
 from pearl_marl.policies.device_policy import FIRST_DRAW
-from pearl_marl.policies.integer_loops import compiled_act
+from pearl_marl.policies.integer_loops import Prepared, compiled_act
 
 TICK, SEED_0, SEED_1, FIRST_SLOT, NEXT_STEP = map(
     STEP_ARGUMENTS.index, ("tick", "seed_0", "seed_1", "first_slot", "next_step")
 )
-OBSERVATIONS, REWARDS, TERMINATIONS, TRUNCATIONS, FINAL = map(STEP_ARGUMENTS.index, RESULTS)
-MASKS, ALIVE = map(STEP_ARGUMENTS.index, ("action_masks", "alive"))
-
-act: Any = None
-step: Any = None
-"""The policy and the kernel that a rollout is compiled with."""
 
 _jit: Any = numba.njit(error_model="numpy")
 key, draw = (with_callees(function, {}, _jit) for function in (rng.key, rng.draw))
 
+_FOR_LOOPS: Any = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+called: Callable[..., Any] = numba.njit(**_FOR_LOOPS)
 
-def rollout(arguments, table, net, actions, elements, masks, in_episode, sums, record, agents, steps, lo, hi):  # type: ignore[no-untyped-def]
-    """Roll out the slots of a range: see :func:`kernel`."""
-    # Everything of a block lies in these, which every step writes over.
-    rows, width = BLOCK * agents, elements.shape[1]
-    shown, final = np.empty((rows, width), elements.dtype), np.empty((rows, width), elements.dtype)
-    allowed = np.empty((rows if masks.shape[0] else 0, masks.shape[1]), masks.dtype)
-    present = np.ones(rows, np.uint8)
-    rewards = np.empty(rows, np.float32)
-    terminations, truncations = np.empty(rows, np.uint8), np.empty(rows, np.uint8)
+
+class Batch(NamedTuple):
+    """What all agents are shown, do and get; every step writes over it."""
+
+    elements: Array  # uint8: the bytes of elements, agent after agent
+    final: Array  # the same, of what they are shown last in an episode
+    masks: Array  # (n_agents, n_actions) int8; of no agents without masks
+    present: Array  # uint8
+    actions: Array  # uint8: the bytes of the words of actions
+    rewards: Array  # float32
+    terminations: Array  # uint8
+    truncations: Array  # uint8
+
+    @classmethod
+    def of(cls, config: BatchConfig, seen: Observed) -> Batch:
+        """Return what agents are shown, and room for the rest."""
+        elements, masks, present = seen
+        n, spec = config.n_agents, config.spec
+        size = len(spec.action_fields) * np.dtype(spec.action_dtype).itemsize
+        return cls(
+            elements.reshape(-1).view(np.uint8),
+            np.empty(elements.nbytes, np.uint8),
+            np.zeros((0, 0), np.int8) if masks is None else masks,
+            present.view(np.uint8),
+            np.zeros(n * size, np.uint8),
+            np.empty(n, np.float32),
+            np.empty(n, np.uint8),
+            np.empty(n, np.uint8),
+        )
+
+    def put_into(self, arguments: Array) -> None:
+        """Have the kernel ``step`` work on these arrays."""
+        named = {
+            "observations": self.elements,
+            "final_observations": self.final,
+            "rewards": self.rewards,
+            "terminations": self.terminations,
+            "truncations": self.truncations,
+            "action_masks": self.masks,
+            "alive": self.present,
+        }
+        for name, array in named.items():
+            arguments[STEP_ARGUMENTS.index(name)] = array.ctypes.data
+
+
+@called
+def _put(words: Array, actions: Array) -> None:
+    for i in range(len(words)):
+        actions[i] = words[i]
+
+
+@called
+def _add(sums: Sums, batch: Batch, first: int, n: int, t: int, next_step: int) -> None:
+    """Add a step of ``n`` agents to the sums; lengths are less by the steps before the present one."""
+    rewards, terminations = batch.rewards[first : first + n], batch.terminations[first : first + n]
+    truncations, waiting = batch.truncations[first : first + n], sums.waiting[first : first + n]
+    running, present = sums.running[first : first + n], batch.present[first : first + n]
+    for i in range(n):
+        running[i] += rewards[i] if waiting[i] == 0 else np.float32(0)
+    for start in range(0, n, 64):
+        end, some = min(start + 64, n), 0
+        for i in range(start, end):
+            some |= terminations[i] | truncations[i] | waiting[i]
+        if not some:
+            continue
+        for i in range(start, end):
+            if waiting[i]:
+                waiting[i] = 1 - present[i]
+                sums.length[first + i] -= 1
+            elif terminations[i] | truncations[i]:
+                agent = first + i
+                if sums.whole[agent] and sums.ended[agent] < sums.most[agent]:
+                    total = running[i]
+                    sums.returns[agent] += total
+                    sums.squares[agent] += total * total
+                    sums.lengths[agent] += sums.length[agent] + t + 1
+                    sums.ended[agent] += 1
+                    sums.truncated[agent] += 1 - terminations[i]
+                running[i], sums.length[agent], sums.whole[agent] = 0.0, -t - 1, 1
+                waiting[i] = 1 if next_step else 1 - present[i]
+
+
+@called
+def _make_draws(arguments: Array, tick: Any, agents: int, b: int, draws: Array) -> None:
+    """Make the draws of a block's agents."""
+    seed_0, seed_1 = np.uint32(arguments[SEED_0]), np.uint32(arguments[SEED_1])
+    count = draws.shape[1]
+    for agent in range(agents):
+        for d in range(count):
+            index = np.uint32(FIRST_DRAW + agent * count + d)
+            key_a = key(np.uint32(CHAIN_A), seed_0, seed_1, tick, index)
+            key_b = key(np.uint32(CHAIN_B), seed_0, seed_1, tick, index)
+            for i in range(len(draws) // agents):
+                slot = np.uint32(arguments[FIRST_SLOT] + np.uint64(b + i))
+                draws[i * agents + agent, d] = draw(slot, key_a, key_b)
+
+
+def _rollout(act, step, arguments, table, net, batch, sums, record, agents, steps, lo, hi):  # type: ignore[no-untyped-def]
+    rows, fields = BLOCK * agents, record.words.shape[2]
+    n_agents = len(batch.rewards)
+    row, size = len(batch.elements) // n_agents, len(batch.actions) // (n_agents * fields)
+    masked, keep = len(batch.masks) > 0, len(record.rewards) > 0
     draws = np.empty((rows, net.draws), np.uint32)
-    words = np.empty((rows, actions.shape[1]), np.int64)
-    keep = len(record.rewards) > 0
+    words = np.empty((rows, fields), np.int64)
     logits = np.empty((rows if keep else 0, record.logits.shape[2]), np.int32)
-    keys = np.empty((agents, max(net.draws, 1), 2), np.uint32)
     mine = arguments.copy()
-    began = arguments[TICK]
     for b in range(lo, hi, BLOCK):
         e = min(b + BLOCK, hi)
-        n, first = (e - b) * agents, b * agents
-        for i in range(n):
-            for k in range(width):
-                shown[i, k] = elements[first + i, k]
-            present[i] = in_episode[first + i]
-            for k in range(allowed.shape[1]):
-                allowed[i, k] = masks[first + i, k]
-        # Kernels add to an address what lies before a block; so these begin before their arrays.
-        mine[OBSERVATIONS] = np.uint64(shown.ctypes.data) - np.uint64(first * width * shown.itemsize)
-        mine[FINAL] = np.uint64(final.ctypes.data) - np.uint64(first * width * shown.itemsize)
-        mine[REWARDS] = np.uint64(rewards.ctypes.data) - np.uint64(first * 4)
-        mine[TERMINATIONS] = np.uint64(terminations.ctypes.data) - np.uint64(first)
-        mine[TRUNCATIONS] = np.uint64(truncations.ctypes.data) - np.uint64(first)
-        if allowed.shape[1]:
-            mine[MASKS] = np.uint64(allowed.ctypes.data) - np.uint64(first * allowed.shape[1])
-        if agents > 1:
-            mine[ALIVE] = np.uint64(present.ctypes.data) - np.uint64(first)
+        first, last = b * agents, e * agents
+        n = last - first
+        elements, masks = batch.elements[first * row : last * row], batch.masks[first:last]
+        own, of_block = words[:n], draws[:n]
+        flat, actions = own.reshape(-1), batch.actions[first * fields * size : last * fields * size]
         for t in range(steps):
-            tick = began + np.uint64(t)
+            tick = arguments[TICK] + np.uint64(t)
             mine[TICK] = tick
             if net.draws:
-                for agent in range(agents):
-                    for d in range(net.draws):
-                        index = np.uint32(FIRST_DRAW + agent * net.draws + d)
-                        seed_0, seed_1 = np.uint32(arguments[SEED_0]), np.uint32(arguments[SEED_1])
-                        keys[agent, d, 0] = key(np.uint32(CHAIN_A), seed_0, seed_1, tick, index)
-                        keys[agent, d, 1] = key(np.uint32(CHAIN_B), seed_0, seed_1, tick, index)
-                for i in range(n):
-                    slot = np.uint32(arguments[FIRST_SLOT] + np.uint64(b + i // agents))
-                    for d in range(net.draws):
-                        draws[i, d] = draw(slot, keys[i % agents, d, 0], keys[i % agents, d, 1])
-            act(net, shown[:n], allowed[: n * min(len(allowed), 1)], draws[:n], words[:n], logits)
-            for i in range(n):
-                for k in range(actions.shape[1]):
-                    actions[first + i, k] = words[i, k]
+                _make_draws(arguments, tick, agents, b, of_block)
+            call_act(act, (net, elements, masks, of_block, own, logits))
+            if size == 1:
+                _put(flat, actions)
+            elif size == 2:
+                _put(flat, actions.view(np.uint16))
+            elif size == 4:
+                _put(flat, actions.view(np.uint32))
+            else:
+                _put(flat, actions.view(np.int64))
             if keep:
-                for i in range(n):
-                    for k in range(width):
-                        record.elements[t, first + i, k] = shown[i, k]
-                    for k in range(allowed.shape[1]):
-                        record.masks[t, first + i, k] = allowed[i, k]
-                    for k in range(actions.shape[1]):
-                        record.words[t, first + i, k] = words[i, k]
-                    for k in range(logits.shape[1]):
-                        record.logits[t, first + i, k] = logits[i, k]
-            step(mine, actions.reshape(-1), table, b, e)
-            for i in range(n):
-                agent = first + i
-                if sums.waiting[agent]:
-                    sums.waiting[agent] = 1 - present[i]
-                    continue
-                sums.running[agent] += rewards[i]
-                sums.length[agent] += 1
-                if terminations[i] | truncations[i]:
-                    if sums.whole[agent] and sums.ended[agent] < sums.most[agent]:
-                        total = sums.running[agent]
-                        sums.returns[agent] += total
-                        sums.squares[agent] += total * total
-                        sums.lengths[agent] += sums.length[agent]
-                        sums.ended[agent] += 1
-                        sums.truncated[agent] += 1 - terminations[i]
-                    sums.running[agent], sums.length[agent], sums.whole[agent] = 0.0, 0, 1
-                    sums.waiting[agent] = 1 if arguments[NEXT_STEP] else 1 - present[i]
+                record.elements[t, first:last] = elements.reshape((n, row))
+                record.words[t, first:last] = own
+                record.logits[t, first:last] = logits[:n]
+                if masked:
+                    record.masks[t, first:last] = masks
+            call_step(step, (mine, batch.actions, table, b, e))
+            _add(sums, batch, first, n, t, arguments[NEXT_STEP])
             if keep:
-                for i in range(n):
-                    record.rewards[t, first + i] = rewards[i]
-                    record.terminations[t, first + i] = terminations[i]
-                    record.truncations[t, first + i] = truncations[i]
+                record.rewards[t, first:last] = batch.rewards[first:last]
+                record.terminations[t, first:last] = batch.terminations[first:last]
+                record.truncations[t, first:last] = batch.truncations[first:last]
+        for i in range(first, last):
+            sums.length[i] += steps
 
 
-@cache
-def kernel(kernels: Kernels) -> Callable[..., None]:
-    """Return the rollout of some kernels, whose observations are elements.
+compiled_rollout = compiled_loop(_rollout, addresses, device_policy, integer_loops, rollouts, rng)
 
-    It is called as ``rollout(arguments, table, net, actions, elements, masks, in_episode, sums, record,
-    agents, steps, lo, hi)`` for the slots of a range. ``arguments`` and ``table`` are what the kernel
-    ``step`` takes, whose addresses of results are replaced; ``elements``, ``masks`` and ``in_episode`` are
-    what agents are shown now; ``actions`` is written over; ``sums`` and ``record`` are
-    :class:`~pearl_marl.devices.rollouts.Sums` and :class:`~pearl_marl.devices.rollouts.Record`.
-    """
-    texts = [
-        inspect.getsource(part) for part in (rollout, integer_loops, integer_network, device_policy, rng)
-    ]
-    digest = hashlib.sha256(repr((kernels.path.name, texts, numba.__version__, np.__version__)).encode())
-    name = f"rollout_{kernels.path.stem.rpartition('_')[0]}_{digest.hexdigest()[:16]}"
-    known = {name: value for name, value in globals().items() if not name.startswith("__")}
-    names = {**known, "act": compiled_act(), "step": kernels.step}
-    loaded, _ = load(name, inspect.getsource(rollout), **names)
-    return kept_code(numba.njit(nogil=True, error_model="numpy")(loaded.rollout), name)  # type: ignore[no-any-return]
+"""Return the loop of a rollout.
+
+It is called as ``rollout(*addresses, arguments, table, net, batch, sums, record, agents, steps, lo, hi)`` for
+the slots of a range, with the :func:`addresses_for` it. ``arguments`` and ``table`` are what the kernel
+``step`` takes; ``record`` has bytes in the place of elements.
+"""
+
+
+def addresses_for(
+    kernels: Kernels, actions: np.dtype[Any], arguments: Array, table: Array, net: Prepared
+) -> tuple[int, int]:
+    """Return the addresses of the policy, and of the kernel ``step`` for words of actions of a dtype."""
+    rows = {dtype: np.zeros((0, 0), dtype) for dtype in (np.int8, np.uint32, np.int64, np.int32)}
+    act = net, np.zeros(0, np.uint8), *rows.values()
+    step = arguments, np.zeros(0, actions), table, 0, 0
+    return address_of(compiled_act(), *act), address_of(kernels.step, *step)

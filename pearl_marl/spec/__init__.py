@@ -711,3 +711,15 @@ def check_slots(name: str, value: object, first: int = 0) -> None:
         raise ArgumentError(
             f"{name} is {value:,}; random draws can tell {MAX_SLOTS - first:,} apart{there}: take no more"
         )
+
+
+class Itself(NamedTuple):
+    """A spec that equals only itself, since not all that it has can be hashed."""
+
+    spec: EnvSpec
+
+    def __hash__(self) -> int:
+        return id(self.spec)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Itself) and self.spec is other.spec

@@ -51,7 +51,8 @@ def test_compiled_as_in_numpy(name: str, widths: tuple[int, ...], drawn: bool) -
     words = np.zeros_like(choice.words)
     logits = np.zeros((0, 0) if choice.logits is None else choice.logits.shape, np.int32)
     no_masks = np.zeros((0, 0), np.int8)
-    compiled_act()(prepared(network), elements, no_masks if masks is None else masks, draws, words, logits)
+    net, as_bytes = prepared(network, elements.dtype), elements.reshape(-1).view(np.uint8)
+    compiled_act()(net, as_bytes, no_masks if masks is None else masks, draws, words, logits)
     assert np.array_equal(words, choice.words)
     assert choice.logits is None or np.array_equal(logits, choice.logits)
     assert len(np.unique(words)) > 1
