@@ -15,6 +15,7 @@ from pearl_marl.hardware.policy_words import Quanta, Words, policy_words, quanta
 from pearl_marl.memory_map import (
     SECTION_BITS,
     Control,
+    Doorbell,
     MemoryMap,
     Mode,
     Section,
@@ -78,12 +79,23 @@ class LinkRollout(NamedTuple):
         transport.write(self.layout["doorbell"].offset, doorbell.view(np.uint8))
         status = np.zeros(4 * len(Status), np.uint8)
         at, done, until = self.layout["statistics"].offset, -1, time.monotonic() + patience
+        rings = self.layout["doorbell"].offset + 4 * Doorbell.SEQUENCE
+        arrived = False
         while True:
             transport.pause()
             transport.read(self.layout["status"].offset, status)
             found = status.view("<u4")
             error = StatusError(int(found[Status.ERROR]))
-            if error & (StatusError.RESET | StatusError.BUSY_WRITE | StatusError.BUSY_DOORBELL):
+            if error & StatusError.RESET:
+                # A status from before the doorbell may still tell of an earlier reset; a reset since then has
+                # cleared the doorbell.
+                rung = word(transport, rings)
+                if rung != sequence and (arrived or time.monotonic() > until):
+                    raise DeviceError("the hardware was reset in a rollout; reset, or load a saved state")
+                arrived = rung == sequence
+                continue
+            arrived = True
+            if error & (StatusError.BUSY_WRITE | StatusError.BUSY_DOORBELL):
                 raise DeviceError(
                     f"the hardware reports {error.name} in a rollout; reset, or load a saved state"
                 )
