@@ -21,6 +21,7 @@ import numpy as np
 from pearl_marl import object_code, rebinding, rng
 from pearl_marl.batch import slot_memory
 from pearl_marl.compiler import (
+    agents_alike,
     flag_runs,
     kernel_ends,
     kernel_loops,
@@ -95,6 +96,7 @@ def compile_kernels(spec: EnvSpec, counter: np.dtype[Any] | None = None) -> Kern
     """
     source = kernel_source(spec, counter)
     parts = (
+        agents_alike,
         *(flag_runs, kernel_ends, kernel_loops, llvm_functions, llvm_loops, llvm_planes, llvm_words),
         *(object_code, rebinding, rng, slot_memory),
     )
