@@ -16,7 +16,7 @@ from gymnasium.spaces import Box
 
 from pearl_marl.batch import slot_memory
 from pearl_marl.compiler.flag_runs import cell_dtype
-from pearl_marl.compiler.straight_line import golden_functions, maskers, observers
+from pearl_marl.compiler.straight_line import golden_functions, maskers, observers, orders
 from pearl_marl.golden import rng
 from pearl_marl.spec import EnvSpec, Field
 from pearl_marl.spec.elements import action_counts
@@ -359,9 +359,10 @@ class _Writer:
         for k in range(self.agents):
             words = [f"observed_{f.name}" for f in self.spec.agent_fields]
             own, masks = words[: len(self.spec.observation)], words[len(self.spec.observation) :]
-            lines.append(_call(observers(self.spec)[k], self.word, own))
+            state = [self.word[place] for place in orders(self.spec)[k]]
+            lines.append(_call(observers(self.spec)[k], state, own))
             if masks:
-                lines.append(_call(maskers(self.spec)[k], self.word, masks))
+                lines.append(_call(maskers(self.spec)[k], state, masks))
             fields, first = self.spec.observation, k * self.row
             own = _cast(fields, own)
             if self.spec.unpack is not None:

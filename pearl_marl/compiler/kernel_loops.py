@@ -31,10 +31,11 @@ from numba import types
 
 from pearl_marl.batch import slot_memory
 from pearl_marl.compiler import flag_runs
+from pearl_marl.compiler.agents_alike import is_crowded
 from pearl_marl.compiler.kernel_ends import Ends
 from pearl_marl.compiler.llvm_functions import Code, Column, Compiled, Frame, Value
 from pearl_marl.compiler.llvm_words import ARITHMETIC
-from pearl_marl.compiler.straight_line import maskers, observers
+from pearl_marl.compiler.straight_line import maskers, observers, orders
 from pearl_marl.golden import rng
 from pearl_marl.spec import EnvSpec, Field
 
@@ -57,11 +58,6 @@ LONG_ROW = 16
 
 LARGE = 64
 """Elements above which an observation is large."""
-
-CROWDED = 512
-"""Words that a world's agents observe, above which each agent is observed by a function of its own: LLVM's
-work on a function grows faster than its length. And a slot that starts is then observed by the same functions
-as all slots are, rather than by others that have to be compiled, too."""
 
 RESULTS = ("observations", "rewards", "terminations", "truncations", "final_observations")
 ADDRESSES = ("memory", "stored", "elapsed", *RESULTS, "action_masks", "alive")
@@ -134,7 +130,9 @@ class KernelLoops:
         self.lane = np.dtype(f"uint{8 * max(field.dtype.itemsize for field in spec.state)}")
         self.counter = numba_type(counter)
         self.runs = flag_runs.runs(spec)
-        self.crowded = self.agents * len(spec.agent_fields) > CROWDED
+        self.crowded = is_crowded(spec)
+        self.observers, self.maskers, self.orders = observers(spec), maskers(spec), orders(spec)
+        self.takes_turns = self.crowded and self.has_lanes and len(set(self.observers)) < self.agents
         # From about so many on, fewer where a start takes draws, SIMD code for all slots is faster. Not with
         # large observations, of which all would be made anew, nor those of agents that have ended.
         self.one_by_one = unpack is not None or self.agents > 1 or self.whole > LARGE
@@ -335,6 +333,8 @@ class KernelLoops:
         if self.has_lanes:
             lanes = numba_type(self.lane), size * len(self.fields)
             alone |= {"state": lanes, "starts": lanes}
+        if self.takes_turns:
+            alone["turns"] = lanes
         return code.scratch(space, alone)
 
     def _blocks(self, code: Code, frame: Frame, kernel: Kernel, lo: Value, hi: Value) -> Iterator[Frame]:
@@ -620,11 +620,40 @@ class KernelLoops:
         whole = tuple(range(self.agents))
         only_masks = all(run.of_mask for run in self.runs)
         for agents in [(k,) for k in whole] if self.crowded else [whole]:
+            own = f
+            if self.takes_turns and self.observers[agents[0]] == self.observers[0]:
+                own, agents = self._in_place_of_the_first(code, f, agents[0]), whole[:1]
             if self.runs:
-                code.run(self.pack, f, agents, only_masks)
-                code.run(self.write_packed, f, agents)
+                code.run(self.pack, own, agents, only_masks)
+                code.run(self.write_packed, own, agents)
             if only_masks:
-                self._run(code, self.observe_slots, f, agents)
+                self._run(code, self.observe_slots, own, agents)
+
+    def _in_place_of_the_first(self, code: Code, f: Frame, agent: int) -> Frame:
+        """Return a frame in which an agent is where the first one is, for the function that observes that."""
+        order = self.orders[agent]
+        before = self.orders[agent - 1] if agent else [None] * len(order)
+        moved = [place for place, field in enumerate(order) if field != before[place]]
+        places = (np.array(lanes, np.int64) * self.size for lanes in (moved, [order[k] for k in moved]))
+        to, of = (code.table(column) for column in places)
+        count = code.word(types.int64, len(moved))
+        code.run(self.take_turns, f.with_(to=to, of=of, count=count))
+        columns: dict[str, Column] = {"state": f.turns}
+        for name, size in (("observations", self.row), ("action_masks", self.masks)):
+            if name in f.named:
+                column = getattr(f, name)
+                columns[name] = column.view(column.type, 0, agent * size)
+        for r in range(len(self.runs)):
+            columns[f"run_0_{r}"] = getattr(f, f"run_{agent}_{r}")
+        return f.with_(**columns)
+
+    def take_turns(self, code: Code, f: Frame) -> None:
+        """Put lanes to where the function of the first agent looks for them."""
+        lane = numba_type(self.lane)
+        for k in code.range(f.count):
+            to, of = f.turns.view(lane, 0, f.to[k]), f.state.view(lane, 0, f.of[k])
+            for i in code.range(f.first, f.end):
+                to[i] = of[i]
 
     def _run(self, code: Code, function: Callable[..., None], f: Frame, *key: object) -> None:
         """Write a function that may call what Numba compiles, and is then part of the kernel."""
@@ -638,7 +667,7 @@ class KernelLoops:
         for i in code.range(f.first, f.end):
             state = self._words(f, i)
             for k in agents:
-                own = [] if only_masks else self._call(code, observers(self.spec)[k], state)
+                own = [] if only_masks else self._observed(code, state, k)
                 blank: list[Any] = [None] * len(self.spec.observation)
                 words = [*(blank if only_masks else own), *self._allowed(code, state, k)]
                 for r, run in enumerate(self.runs):
@@ -666,9 +695,7 @@ class KernelLoops:
         for i in code.range(f.first, f.end):
             state = self._words(f, i)
             for k in agents:
-                self._write_row(
-                    code, f, i * self.agents + k, self._call(code, observers(self.spec)[k], state)
-                )
+                self._write_row(code, f, i * self.agents + k, self._observed(code, state, k))
 
     def _observe_start(self, code: Code, f: Frame) -> None:
         """Observe slot ``i``, which has just started."""
@@ -682,7 +709,7 @@ class KernelLoops:
         state = self._words(f, f.i)
         for k in range(self.agents):
             row = f.i * self.agents + k
-            self._write_row(code, f, row, self._call(code, observers(self.spec)[k], state))
+            self._write_row(code, f, row, self._observed(code, state, k))
             self._write_masks(f, row, self._allowed(code, state, k))
 
     def deliver_rows(self, code: Code, f: Frame, alone: str = "") -> None:
@@ -695,9 +722,15 @@ class KernelLoops:
             self._write_row(code, f, i, words[:count])
             self._write_masks(f, i, words[count:])
 
+    def _observed(self, code: Code, state: Sequence[Value], agent: int) -> Sequence[Value]:
+        """Return the words that an agent observes."""
+        return self._call(code, self.observers[agent], [state[place] for place in self.orders[agent]])
+
     def _allowed(self, code: Code, state: Sequence[Value], agent: int) -> Sequence[Value]:
         """Return the words of an agent's masks."""
-        return self._call(code, maskers(self.spec)[agent], state) if self.masks else ()
+        if not self.masks:
+            return ()
+        return self._call(code, self.maskers[agent], [state[place] for place in self.orders[agent]])
 
     def _write_row(self, code: Code, f: Frame, row: Value, words: Sequence[Value]) -> None:
         """Write the observation of an agent."""

@@ -22,6 +22,7 @@ from pearl_marl.base import object_code
 from pearl_marl.base.machine_code import kept_code
 from pearl_marl.batch import slot_memory
 from pearl_marl.compiler import (
+    agents_alike,
     flag_runs,
     kernel_ends,
     kernel_loops,
@@ -95,6 +96,7 @@ def compile_kernels(spec: EnvSpec, counter: np.dtype[Any] | None = None) -> Kern
     """
     source = kernel_source(spec, counter)
     parts = (
+        agents_alike,
         *(flag_runs, kernel_ends, kernel_loops, llvm_functions, llvm_loops, llvm_planes, llvm_words),
         *(object_code, rebinding, rng, slot_memory),
     )

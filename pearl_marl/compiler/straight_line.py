@@ -7,6 +7,7 @@ register; or a wider one if all of them want it, since conversions cost, too. Th
 
 from __future__ import annotations
 
+import functools
 import keyword
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
@@ -15,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pearl_marl.compiler import scalar_words
+from pearl_marl.compiler.agents_alike import Order, Traced, alike
 from pearl_marl.compiler.kernel_bits import kernel_bits
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction
@@ -33,6 +35,18 @@ MOST_NUMBERS = 16
 """Numbers that a table is packed into at most."""
 
 
+class Itself(NamedTuple):
+    """A spec that equals only itself, since not all that it has can be hashed."""
+
+    spec: EnvSpec
+
+    def __hash__(self) -> int:
+        return id(self.spec)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Itself) and self.spec is other.spec
+
+
 def golden_functions(spec: EnvSpec) -> list[str]:
     """Return the lines of ``initial()``, ``golden_step()``, :func:`observers` and :func:`maskers`.
 
@@ -43,49 +57,70 @@ def golden_functions(spec: EnvSpec) -> list[str]:
     ArgumentError
         A word takes more than 64 bits; the message names the file and the line.
     """
+    return _written(Itself(spec))[0]
+
+
+def orders(spec: EnvSpec) -> list[Order]:
+    """Return for each agent the order in which its observer and masker take the words of a state."""
+    itself = tuple(range(len(spec.state)))
+    return [order or itself for order in _written(Itself(spec))[1]]
+
+
+def observers(spec: EnvSpec) -> list[str]:
+    """Return the names of the functions that say what an agent sees, for each agent of a world."""
+    return _for_agents("observe", spec, _written(Itself(spec))[1])
+
+
+def maskers(spec: EnvSpec) -> list[str]:
+    """Return the names of the functions that say which actions an agent may take, if there are masks."""
+    return _for_agents("find_masks", spec, _written(Itself(spec))[1]) if spec.mask_fields else []
+
+
+def _for_agents(name: str, spec: EnvSpec, orders: Sequence[Order | None]) -> list[str]:
+    if spec.agents == 1:
+        return [name]
+    return [f"{name}_{0 if order else k}" for k, order in enumerate(orders)]
+
+
+@functools.lru_cache(maxsize=64)
+def _written(itself: Itself) -> tuple[list[str], list[Order | None]]:
+    """Return the lines of golden functions, and for each agent what :func:`alike` finds."""
+    spec = itself.spec
     draws = [Field(f"draw_{k}", 32) for k in range(spec.reset_draws + spec.step_draws)]
     reset, step = draws[: spec.reset_draws], draws[spec.reset_draws :]
     inputs = [*spec.state, *spec.each_agent(*spec.action_fields), *step]
     results = *spec.state, *spec.each_agent(spec.reward), *spec.each_agent(TERMINATED)
     lines = [
-        *_function("initial", spec.positional.initial, reset, spec.state),
-        *_function("golden_step", spec.positional.step, inputs, results),
+        *_function("initial", _traced(spec.positional.initial, reset, spec.state), reset),
+        *_function("golden_step", _traced(spec.positional.step, inputs, results), inputs),
     ]
-    for name, agent in zip(observers(spec), spec.views, strict=True):
-        lines += _function(name, spec.positional.observe, spec.state, spec.observation, *agent)
+    views = [("observe", spec.positional.observe, spec.observation)]
     if spec.mask_fields:
-        masks = spec.functions[-1]
-        for name, agent in zip(maskers(spec), spec.views, strict=True):
-            lines += _function(name, masks, spec.state, spec.mask_fields, *agent)
-    return lines
+        views.append(("find_masks", spec.functions[-1], spec.mask_fields))
+    firsts = [_traced(function, spec.state, fields, *spec.views[0]) for _, function, fields in views]
+    alike_in = alike(spec, firsts)
+    for (name, function, fields), first in zip(views, firsts, strict=True):
+        names = _for_agents(name, spec, alike_in)
+        lines += _function(names[0], first, spec.state)
+        for agent, order in enumerate(alike_in[1:], 1):
+            if order is None:
+                lines += _function(names[agent], _traced(function, spec.state, fields, agent), spec.state)
+    return lines, alike_in
 
 
-def observers(spec: EnvSpec) -> list[str]:
-    """Return the names of the functions that say what an agent sees: one for each agent of a world."""
-    return _for_agents("observe", spec)
-
-
-def maskers(spec: EnvSpec) -> list[str]:
-    """Return the names of the functions that say which actions an agent may take, if there are masks."""
-    return _for_agents("find_masks", spec) if spec.mask_fields else []
-
-
-def _for_agents(name: str, spec: EnvSpec) -> list[str]:
-    return [name] if spec.agents == 1 else [f"{name}_{k}" for k in range(spec.agents)]
-
-
-def _function(
-    name: str,
-    function: GoldenFunction,
-    inputs: Sequence[Field],
-    fields: Sequence[Field],
-    *agent: int,
-) -> list[str]:
+def _traced(
+    function: GoldenFunction, inputs: Sequence[Field], fields: Sequence[Field], *agent: int
+) -> Traced:
     graph = Graph(early=False)
     words = [graph.input(f"{k} {f.name}", f.bits, f.signed, *f.range) for k, f in enumerate(inputs)]
-    traced = trace(graph, function, words, *agent)
-    traced = [graph.wrap(node, f.bits, f.signed) for node, f in zip(traced, fields, strict=True)]
-    results = list(zip(_with_merged_sums(graph, traced), (str(f.dtype) for f in fields), strict=True))
+    results = trace(graph, function, words, *agent)
+    results = [graph.wrap(node, f.bits, f.signed) for node, f in zip(results, fields, strict=True)]
+    return Traced(function, graph, words, results, fields)
+
+
+def _function(name: str, traced: Traced, inputs: Sequence[Field]) -> list[str]:
+    function, graph, words, nodes, fields = traced
+    results = list(zip(_with_merged_sums(graph, nodes), (str(f.dtype) for f in fields), strict=True))
     types = {word: str(f.dtype) for word, f in zip(words, inputs, strict=True)}
     writer = _Writer(name, function, types, results)
     returned = ", ".join(f"np.{type_}({writer.operand(node, type_)})" for node, type_ in results)

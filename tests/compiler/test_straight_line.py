@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pearl_marl.compiler import llvm_words, scalar_words
-from pearl_marl.compiler.straight_line import golden_functions, maskers, observers
+from pearl_marl.compiler.straight_line import golden_functions, maskers, observers, orders
 from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import Draws, Word, call_reference
@@ -78,11 +78,13 @@ def assert_means_the_golden_functions(
         if names_:
             agents = zip(names_, spec.views, strict=True)
             calls += [(name, golden, state, agent) for name, agent in agents]
+    of_state = orders(spec)
     for name, golden, fields, agent in calls:
         for _ in range(CASES):
             words = [word(chance, field) for field in fields]
             with np.errstate(over="ignore", divide="raise"):
-                result = found[name](*words)
+                given = [words[k] for k in of_state[agent[0]]] if agent else words
+                result = found[name](*given)
             results = result if isinstance(result, tuple) else (result,)
             due = call_reference(golden, words, *agent)
             assert [int(x) for x in results] == [int(x) for x in due], f"{name}{tuple(words)}"
@@ -91,6 +93,29 @@ def assert_means_the_golden_functions(
 @pytest.mark.parametrize("env", names())
 def test_environments(env: str) -> None:
     assert_means_the_golden_functions(get_spec(env), random.Random(0))
+
+
+CROWD = {"players": 12, "max_num_food": 12, "sight": 2}
+"""As many foods as players, so that names alone do not tell which of the two change places."""
+
+
+def test_agents_of_a_crowd_share_functions() -> None:
+    spec = get_spec("LevelBasedForaging").with_options(**CROWD)
+    assert set(observers(spec)) == {"observe_0"}
+    assert set(maskers(spec)) == {"find_masks_0"}
+    assert_means_the_golden_functions(spec, random.Random(0), compiled)
+
+
+def test_agents_of_a_crowd_that_are_not_alike_have_functions_of_their_own() -> None:
+    spec = get_spec("LevelBasedForaging").with_options(**CROWD)
+
+    def observe(state: Any, agent: int) -> Any:
+        foods, players = spec.golden.observe(state, agent)
+        return foods, [(row, column, level * (agent != 5)) for row, column, level in players]
+
+    other = replace(spec, golden=spec.golden._replace(observe=observe))
+    assert observers(other) == [f"observe_{5 if k == 5 else 0}" for k in range(12)]
+    assert_means_the_golden_functions(other, random.Random(0))
 
 
 @pytest.mark.parametrize("seed", sampled(range(60), range(30)))
