@@ -130,7 +130,14 @@ def _envpool_agents(spec: EnvSpec) -> int:
     return ENVPOOL_AGENTS.get(spec.name, spec.agents)
 
 
-def _envpool(spec: EnvSpec, n: int) -> Step | Game:
+def envpool_of(spec: EnvSpec, n: int) -> Any:
+    """Return EnvPool's environments, for ``n`` agents; they are not reset yet.
+
+    Raises
+    ------
+    UnavailableError
+        EnvPool is not installed, or has no such environment.
+    """
     with installed("'.[bench]'"):
         import envpool
     name = ENVPOOL_GAMES.get(spec.name) or _required(spec, "EnvPool")
@@ -143,7 +150,11 @@ def _envpool(spec: EnvSpec, n: int) -> Step | Game:
         raise UnavailableError(f"EnvPool {metadata.version('envpool')} has no {family}")
     if spec.configure is not None and options != spec.configure().options:
         raise UnavailableError(f"measured with default options only, not {options}")
-    envs = envpool.make(name, env_type="gymnasium", num_envs=n // _envpool_agents(spec))
+    return envpool.make(name, env_type="gymnasium", num_envs=n // _envpool_agents(spec))
+
+
+def _envpool(spec: EnvSpec, n: int) -> Step | Game:
+    envs = envpool_of(spec, n)
     with quiet_spaces():
         obs, infos = envs.reset()
         if spec.agents > 1:

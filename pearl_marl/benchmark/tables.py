@@ -57,6 +57,19 @@ def steps_table(contenders: Iterable[Contender]) -> Table:
     )
 
 
+def rollouts_table(contenders: Iterable[Contender]) -> Table:
+    """Return a row for each way to act and step; ``x`` is what the first one does over it."""
+    first, *others = (contender for contender in contenders if contender.unavailable is None)
+    return Table(
+        ("", "policy steps/s", "x", "what is counted"),
+        [
+            (c.name, rate(c.rate), "" if c is first else times(first.rate / c.rate), c.counts)
+            for c in (first, *others)
+        ],
+        (0, 3),
+    )
+
+
 def environments_table(environments: Iterable[tuple[str, Iterable[Contender]]]) -> Table:
     """Return a row for each environment: our rates, then EnvPool's and the best other's, and x of each."""
     rows = []

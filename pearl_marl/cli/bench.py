@@ -12,6 +12,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from pearl_marl.benchmark import rollouts
 from pearl_marl.benchmark.growth import COUNTS, SUBJECTS, growth
 from pearl_marl.benchmark.measure import Contender, measure
 from pearl_marl.benchmark.steps import contenders
@@ -24,6 +25,7 @@ from pearl_marl.benchmark.tables import (
     environments_table,
     growth_table,
     machine_line,
+    rollouts_table,
     steps_table,
     training_table,
 )
@@ -40,7 +42,7 @@ app = typer.Typer(add_completion=False, no_args_is_help=True)
 
 @app.callback()
 def command() -> None:
-    """Measure speed beside that of other packages: of steps, of growing numbers of agents, of trainings."""
+    """Measure speed beside that of other packages: of steps, rollouts, many agents, and trainings."""
 
 
 Rounds = Annotated[
@@ -57,6 +59,9 @@ AnyEnv = Annotated[
 ]
 TrainedEnv = Annotated[
     str | None, typer.Argument(metavar="[ENV]", help="An environment; by default all that are compared.")
+]
+QuantizedRun = Annotated[
+    Path, typer.Argument(metavar="RUN", help="A folder of `pearl train`, after `pearl quantize`.")
 ]
 Every = Annotated[bool, typer.Option("--all", help="Compare every environment, with fewer contenders.")]
 Quick = Annotated[bool, typer.Option("--quick", help="Run only a few iterations of one seed.")]
@@ -105,6 +110,35 @@ def steps(
     for note in notes:
         console.print(note)
     console.print(machine_line(result["machine"]), style="dim")
+
+
+@app.command("rollouts")
+def measure_rollouts(
+    run: QuantizedRun,
+    n_agents: common.Agents = None,
+    rounds: Rounds = 7,
+    seconds: Seconds = 0.2,
+    out: common.Out = None,
+    as_json: common.AsJson = False,
+    as_markdown: common.AsMarkdown = False,
+) -> None:
+    """Measure policy steps per second: of rollouts, of the loop of pearl eval, and of EnvPool with torch."""
+    from pearl_marl.policies.integer_file import load_policy
+
+    checked_number("--seconds", seconds, 0, MOST_SECONDS)
+    common.check_forms(as_json, as_markdown)
+    network = load_policy(run)
+    spec = network.spec
+    n_agents = common.agents_of(spec, n_agents)
+    file = f"bench_rollouts_{spec.name}_{n_agents}.json"
+    common.check_results(out, file)
+    rows = rollouts.contenders(run, network, n_agents)
+    result = _measured(spec, n_agents, rows, [], rounds, seconds) | {"actions": "Those of the policy."}
+    if common.delivered(result, as_json, out, file):
+        return
+    absent = [f"{row.name}: {row.unavailable}." for row in rows if row.unavailable is not None]
+    notes = (*absent, f"x is the first row over another. {n_agents:,} agents; {_medians(result)}")
+    common.print_table(f"{spec.id}: acting and stepping", rollouts_table(rows), notes, as_markdown)
 
 
 @app.command("growth")
@@ -189,7 +223,7 @@ def compare_trainings(
 def current(arguments: Sequence[str]) -> list[str]:
     """Return a command line in its present form; warn if it has that of before ``pearl bench steps``."""
     kinds = {"--training": "training", "--growth": "growth"}
-    if arguments and arguments[0] in ("steps", "growth", "training", "-h", "--help"):
+    if arguments and arguments[0] in ("steps", "rollouts", "growth", "training", "-h", "--help"):
         return list(arguments)
     kind = next((kinds[word] for word in arguments if word in kinds), "steps")
     now = [kind, *(word for word in arguments if word not in kinds)]

@@ -499,14 +499,14 @@ def _see_planes(net: Prepared, elements: Array, first: int, n: int, room: Room) 
         if net.size == 1:
             start = (first + s) * net.width
             for k in range(net.width):
-                flags[k] = elements[start + k]
+                flags[k] = elements[np.uint64(start + k)]
         else:
             _take(net, elements, first + s, 1, room.taken)
             for k in range(net.width):
                 flags[k] = room.taken[k, 0] != 0
         for at in range(high * wide):
             for f in range(filters):
-                filtered[at * filters + f] = net.filter_bias[f]
+                filtered[np.uint64(at * filters + f)] = net.filter_bias[f]
         for w in range(len(words)):
             if not words[w]:
                 continue
@@ -520,7 +520,7 @@ def _see_planes(net: Prepared, elements: Array, first: int, n: int, room: Room) 
                     at = ((row - i) * wide + left) * filters
                     of = ((plane * 3 + i) * 3 + 2 - column + left) * filters
                     for f in range(length):
-                        filtered[at + f] += weights[of + f]
+                        filtered[np.uint64(at + f)] += weights[np.uint64(of + f)]
         for k in range(0, high * wide * filters, 2):
             low = min(max(filtered[k] >> shift, 0), net.limit)
             more = min(max(filtered[k + 1] >> shift, 0), net.limit)
