@@ -63,8 +63,8 @@ def command(
 ) -> None:
     """Evaluate a policy on a device: returns, lengths, latency of every stage, and a digest.
 
-    The digest is the same on every device. A policy of `pearl quantize` runs beside the environments, and has
-    a rate in place of latencies. --out gets evaluation.json and a page, evaluation.html.
+    The digest is the same on every device. A policy of `pearl quantize` acts in rollouts, and has a rate in
+    place of latencies. --out gets evaluation.json and a page, evaluation.html.
     Exit status 1: with --lockstep, the device differs from the golden functions.
     """
     if against:

@@ -45,14 +45,14 @@ def command(
     Devices run such a policy beside their environments: see `rollout()`. The change of the return is printed
     with its 95 % confidence interval.
     """
-    figures = made_of(run, out, weight_bits, activation_bits, n_agents, seed)
+    figures = quantize_run(run, out, weight_bits, activation_bits, n_agents, seed)
     if as_json:
         common.print_json(figures)
     else:
         show(figures)
 
 
-def made_of(
+def quantize_run(
     run: Path,
     out: Path | None = None,
     weight_bits: int = BITS,
@@ -60,7 +60,7 @@ def made_of(
     n_agents: int | None = None,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Write the policy in integers of a run, by default into its folder; return what is known of it."""
+    """Write the policy in integers of a run, by default into its folder; return the returns of both."""
     from pearl_marl.evaluation.quantization import Quantization
     from pearl_marl.policies import integer_file
 

@@ -118,6 +118,10 @@ def command(
         settings = training.settings_for(algo, env_id, changes, shards, spec.agents)
     for warning in renamed:
         error_console.print(f"pearl: {warning.message}", markup=False, soft_wrap=True)
+    if quantize and getattr(settings, "sharing", "all") == "none":
+        raise ArgumentError(
+            "--quantize takes a policy that agents share; with sharing=none each has a network of its own"
+        )
 
     plan = training.Training(env_id, algo, settings, dict(spec.options), device, goal, evaluate_every)
     run = training.TrainingRun(plan, out, shards)
@@ -149,8 +153,8 @@ def command(
     best = max(rows, key=lambda row: row["eval_return"])
     result: dict[str, Any] = {"environment": env_id, "algorithm": algo, "folder": str(out)}
     result |= {"best": best, "last": rows[-1]}
-    if quantize:
-        result["quantized"] = integers.made_of(out)
+    if quantize and as_json:
+        result["quantized"] = integers.quantize_run(out)
     if as_json:
         common.print_json(result)
         return
@@ -159,7 +163,7 @@ def command(
         f"{best['seconds']:.1f} s. Wrote {out}: policy.safetensors, metrics.csv, learning_curve.png"
     )
     if quantize:
-        integers.show(result["quantized"])
+        integers.show(integers.quantize_run(out))
 
 
 def _note(row: dict[str, Any]) -> str:

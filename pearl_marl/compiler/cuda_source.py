@@ -109,8 +109,10 @@ $golden_functions
 @inlined
 def count(sums, agent, reward, terminated, truncated, present, next_step):
     """Add a step of an agent to its sums."""
+    # All agents are present again when their world has ended.
+    later = (2 if next_step else 0) if present else 1
     if sums.waiting[agent]:
-        sums.waiting[agent] = 1 - present
+        sums.waiting[agent] = later if sums.waiting[agent] == 1 else 0
         return
     sums.running[agent] += np.float64(reward)
     sums.length[agent] += 1
@@ -124,7 +126,7 @@ def count(sums, agent, reward, terminated, truncated, present, next_step):
             sums.ended[agent] += 1
             sums.truncated[agent] += 1 - terminated
         sums.running[agent], sums.length[agent], sums.whole[agent] = 0.0, 0, 1
-        sums.waiting[agent] = 1 if next_step else 1 - present
+        sums.waiting[agent] = later
 
 
 @kernel

@@ -344,7 +344,8 @@ class Device(ABC):
         """Step every slot so many times, with the actions of a policy; return what came of it.
 
         Afterwards everything is as after single steps with these actions. If the call fails, or Ctrl-C ends
-        it, it is as before; but hardware that rolls out by itself has failed then: call :meth:`recover`.
+        it, the device is as before; but hardware that rolls out by itself has failed then: call
+        :meth:`recover`.
 
         Parameters
         ----------
@@ -385,6 +386,9 @@ class Device(ABC):
         """Return what policies in integers are shown now: observations of shape ``(n_agents, elements)``."""
         return rollouts.look(self.config, self._read()[0])
 
+    def check_engine(self, policy: DevicePolicy, steps: int) -> None:  # noqa: B027, most have none
+        """Refuse a rollout that a policy engine of the device does not take."""
+
     def _rollout_alone(
         self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
     ) -> Rollout | None:
@@ -396,8 +400,8 @@ class Device(ABC):
     ) -> tuple[Rollout, Observed]:
         """Do a rollout, by single steps unless there is a faster way; return also what is observed last."""
         elapsed = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).elapsed
-        acting = self.elements().in_episode & ~self.resetting()
-        sums = rollouts.Sums.of(elapsed.repeat(self.config.spec.agents), acting, episodes)
+        elapsed = elapsed.repeat(self.config.spec.agents)
+        sums = rollouts.Sums.of(elapsed, self.elements().in_episode, self.resetting(), episodes)
         kept = rollouts.Record.of(self.config, steps, policy.logits) if record else None
         observed = rollouts.by_steps(
             self.config,

@@ -125,13 +125,22 @@ class CommBram(Device):
     def _may_have_moved(self) -> bool:
         return self._protocol.unconfirmed
 
+    def check_engine(self, policy: DevicePolicy, steps: int) -> None:
+        """See :meth:`Device.check_engine`."""
+        if self.has_engine:
+            self._of_engine(policy, steps)
+
+    def _of_engine(self, policy: DevicePolicy, steps: int) -> LinkRollout:
+        config, layout = self.config, self._protocol.layout
+        return LinkRollout.of(policy, layout, config.spec, self.rewards, steps, config.limit)
+
     def _rollout_alone(
         self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
     ) -> Rollout | None:
         protocol, mirror, config = self._protocol, self._mirror, self.config
         if not self.has_engine or record or episodes is not None:
             return None
-        run = LinkRollout.of(policy, protocol.layout, config.spec, self.rewards, steps, config.limit)
+        run = self._of_engine(policy, steps)
         if mirror.due.any():  # the mask is of one step only
             self._write(*self._read())
         try:

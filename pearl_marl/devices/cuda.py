@@ -206,11 +206,12 @@ class Cuda(Device):
     ) -> tuple[Rollout, Observed]:
         if record or not isinstance(policy, IntegerNetwork):
             return super()._rollout(policy, steps, record, episodes)
-        elapsed = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).elapsed
+        slots = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0])
         config = replace(self.config, spec=self.config.spec.in_elements)
         agents, n, layout = config.spec.agents, config.n_envs, ResultLayout(config)
-        acting = on_host(self.in_episode) & ~self.resetting()
-        sums: Any = Sums.of(elapsed.repeat(agents), acting, episodes)
+        in_episode = on_host(self.in_episode)
+        resetting = (slots.ended & 1).astype(np.bool_).repeat(agents)
+        sums: Any = Sums.of(slots.elapsed.repeat(agents), in_episode, resetting, episodes)
         nobody, position = np.zeros(n, np.uint8), (*self.seed, rng.signed(self.tick), config.first_slot)
         with _failures():
             self._upload_rewards()
@@ -218,7 +219,8 @@ class Cuda(Device):
             memory = self._memory, self._stored
             first = compile_cuda_kernels(config.spec).reset
             starts = *layout.starts[5:], *position
-            self._launch(first, *memory, self._gpu.to_device(nobody), block, *starts, False, n)
+            mask = self._gpu.to_device(nobody, stream=self._stream())
+            self._launch(first, *memory, mask, block, *starts, False, n)
             network = thread_network(policy)
             inputs, outputs = room_sizes(network)
             threads = self._grid[0] * self._grid[1]
@@ -246,7 +248,8 @@ class Cuda(Device):
 
     def _copied(self, arrays: Any) -> Any:
         """Return a NamedTuple with its arrays on the GPU."""
-        there = (self._gpu.to_device(value) if isinstance(value, np.ndarray) else value for value in arrays)
+        stream = self._stream()
+        there = (self._gpu.to_device(x, stream=stream) if isinstance(x, np.ndarray) else x for x in arrays)
         return type(arrays)(*there)
 
     def _begin(self, words: Any) -> tuple[Any, Future[BatchStep]]:

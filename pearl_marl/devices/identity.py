@@ -50,7 +50,7 @@ def identity(build: Build) -> tuple[int, ...]:
 def stated_map(read: Read, spec: EnvSpec, n_envs: int) -> MemoryMap:
     """Return the memory map of hardware for so many slots, with the sizes and the engine that it states.
 
-    Where it cannot be for these slots, what it is will be refused by :func:`check_identity`.
+    Hardware that is not for so many slots gets the default map, and :func:`check_identity` refuses it.
     """
     words = _words(read, 4 * Control.MAGIC, len(_IDENTITY))
     try:

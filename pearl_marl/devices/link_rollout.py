@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.batch.rollout import Rollout
+from pearl_marl.checks import checked_integer
 from pearl_marl.devices.transport import Transport, word
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware.policy_words import Quanta, Words, policy_words, quanta
@@ -50,15 +51,12 @@ class LinkRollout(NamedTuple):
 
         ``rewards`` are those of the categories, and ``longest`` the time limit, 0 if there is none.
         """
-        if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or not 1 <= steps < 1 << 32:
-            raise ArgumentError(f"steps is {steps!r}; it must be an integer from 1 to {(1 << 32) - 1:,}")
+        steps = checked_integer("steps", steps, 1, (1 << 32) - 1)
         if layout.engine is None:
             raise ArgumentError("the hardware has no policy engine; take a build with one, or another device")
-        if policy.spec.id != spec.id or policy.spec.options != spec.options:
-            raise ArgumentError(f"the policy is for {policy.spec.id}, and the batch is of {spec.id}")
         sections = policy_words(policy, layout.engine)
-        whole = quanta(spec, rewards, min(int(steps), longest or int(steps)))
-        return cls(layout, sections, whole, layout.n_envs * spec.agents, int(steps))
+        whole = quanta(spec, rewards, min(steps, longest or steps))
+        return cls(layout, sections, whole, layout.n_envs * spec.agents, steps)
 
     def load(self, transport: Transport) -> None:
         """Write the policy. It stays until another one is written, also over a reset."""
@@ -93,8 +91,8 @@ class LinkRollout(NamedTuple):
                 if rung != sequence and (arrived or time.monotonic() > until):
                     raise DeviceError("the hardware was reset in a rollout; reset, or load a saved state")
                 arrived = rung == sequence
-                continue
-            arrived = True
+            else:
+                arrived = True
             if error & (StatusError.BUSY_WRITE | StatusError.BUSY_DOORBELL):
                 raise DeviceError(
                     f"the hardware reports {error.name} in a rollout; reset, or load a saved state"

@@ -153,6 +153,10 @@ class Lockstep(Device):
         """Whether the device that is checked has a policy engine."""
         return self.device.has_engine
 
+    def check_engine(self, policy: DevicePolicy, steps: int) -> None:
+        """See :meth:`Device.check_engine`."""
+        self.device.check_engine(policy, steps)
+
     def _rollout_alone(
         self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
     ) -> Rollout | None:
@@ -227,11 +231,11 @@ class Lockstep(Device):
         found.add(state_words(self.config.spec, self.config.n_envs, *saved))
 
     def _both(self, call: Callable[[Device], T]) -> tuple[T, T]:
-        """Call both devices. Should one refuse, neither has moved."""
+        """Call both devices. Should one refuse, or Ctrl-C come between them, neither has moved."""
         ours = call(self.device)
         try:
             return ours, call(self.reference)
-        except PearlError:
+        except (PearlError, KeyboardInterrupt):
             if self.reference.phase is Phase.READY:
                 self.device.restore(self.reference.snapshot())
             raise

@@ -213,8 +213,8 @@ class Native(Device):
         kernels, network = compile_kernels(seen, self._elapsed.dtype), prepared(policy, element_dtype(seen))
         actions = np.dtype(spec.action_dtype)
         addresses = addresses_for(kernels, actions, self._arguments, self.reward_table, network)
-        acting = self.in_episode & ~self.resetting()
-        sums = Sums.of(self._elapsed.repeat(spec.agents), acting, episodes)
+        elapsed = self._elapsed.repeat(spec.agents)
+        sums = Sums.of(elapsed, self.in_episode, self.resetting(), episodes)
         kept = Record.of(config, steps if record else 0, policy.logits)
         in_bytes = kept._replace(elements=kept.elements.view(np.uint8))
         done, some = 0, 1

@@ -103,8 +103,10 @@ def _add(sums: Sums, batch: Batch, first: int, n: int, t: int, next_step: int) -
         if not some:
             continue
         for i in range(start, end):
+            # All agents are present again when their world has ended.
+            later = (2 if next_step else 0) if present[i] else 1
             if waiting[i]:
-                waiting[i] = 1 - present[i]
+                waiting[i] = later if waiting[i] == 1 else 0
                 sums.length[first + i] -= 1
             elif terminations[i] | truncations[i]:
                 agent = first + i
@@ -116,7 +118,7 @@ def _add(sums: Sums, batch: Batch, first: int, n: int, t: int, next_step: int) -
                     sums.ended[agent] += 1
                     sums.truncated[agent] += 1 - terminations[i]
                 running[i], sums.length[agent], sums.whole[agent] = 0.0, -t - 1, 1
-                waiting[i] = 1 if next_step else 1 - present[i]
+                waiting[i] = later
 
 
 @called
@@ -181,11 +183,10 @@ def _rollout(act, step, arguments, table, net, batch, sums, record, agents, step
 
 
 compiled_rollout = compiled_loop(_rollout, addresses, device_policy, integer_loops, rollouts, rng)
-
 """Return the loop of a rollout.
 
 It is called as ``rollout(*addresses, arguments, table, net, batch, sums, record, agents, steps, lo, hi)`` for
-the slots of a range, with the :func:`addresses_for` it. ``arguments`` and ``table`` are what the kernel
+the slots of a range, with what :func:`addresses_for` returns. ``arguments`` and ``table`` are what the kernel
 ``step`` takes; ``record`` has bytes in the place of elements.
 """
 

@@ -29,7 +29,7 @@ class Sums(NamedTuple):
     running: Array  # float64: the return of the episode so far
     length: Array  # int64: its steps so far
     whole: Array  # uint8: whether it began in the rollout or with it
-    waiting: Array  # uint8: whether it takes no part: it has ended before its world, or its world resets
+    waiting: Array  # uint8: 1 if it has ended before its world, 2 if its world resets in the next step
     returns: Array  # float64: of whole episodes that ended
     squares: Array  # float64
     lengths: Array  # int64
@@ -38,15 +38,15 @@ class Sums(NamedTuple):
     most: Array  # int64: how many episodes count
 
     @classmethod
-    def of(cls, elapsed: Array, acting: Array, episodes: int | None) -> Sums:
+    def of(cls, elapsed: Array, in_episode: Array, resetting: Array, episodes: int | None) -> Sums:
         """Return the sums of no steps.
 
-        ``elapsed`` are each agent's steps of its episode so far, ``acting`` whether it takes part in the next
-        one: if not, its next episode is a whole one.
+        ``elapsed`` are each agent's steps of its episode so far. An agent that is not in an episode, or whose
+        world spends the next step on its reset, begins a whole one later.
         """
-        n = len(acting)
-        waiting = (~acting.astype(np.bool_)).astype(np.uint8)
-        whole = (elapsed == 0).astype(np.uint8) | waiting
+        n = len(in_episode)
+        waiting = np.where(resetting, 2, ~in_episode.astype(np.bool_)).astype(np.uint8)
+        whole = ((elapsed == 0) | (waiting != 0)).astype(np.uint8)
         return cls(
             np.zeros(n, np.float64),
             np.zeros(n, np.int64),
@@ -73,7 +73,9 @@ class Sums(NamedTuple):
         self.ended[counted] += 1
         self.truncated[counted] += ~step.terminations[counted]
         self.running[over], self.length[over], self.whole[over] = 0, 0, 1
-        self.waiting[:] = np.where(over, next_step | ~step.in_episode, ~acting & ~step.in_episode)
+        # All agents are present again when their world has ended.
+        later = np.where(step.in_episode, 2 if next_step else 0, 1)
+        self.waiting[:] = np.where(over | (self.waiting == 1), later, 0)
 
     def result(self, steps: int, recorded: dict[str, Any]) -> Rollout:
         """Return the result of a rollout of so many steps, with what was recorded of them."""

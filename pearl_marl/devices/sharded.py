@@ -148,6 +148,8 @@ class Sharded(Device):
     ) -> Rollout | None:
         if not self.has_engine or record or episodes is not None:
             return None
+        for part in self.parts:  # before any has moved
+            part.check_engine(policy, steps)
         try:
             shares = self.on_all(lambda part, _: part.rollout(policy, steps))
         except BaseException:

@@ -176,8 +176,7 @@ class Evaluation:
         later = np.random.default_rng(self.seed)
         while len(agents := np.flatnonzero(self._done < self._quota)):
             steps = counted = 0
-            # Nobody knows how long the longest episode is. To begin again costs at most as many steps again,
-            # and takes nothing of a device but sums.
+            # How long the longest episode is, is not known; to begin again costs at most as many steps again.
             while counted < len(agents):
                 steps = min(max(2 * steps, FIRST_STEPS), limit or MAX_CYCLES)
                 self.device.reset(seed)
@@ -270,7 +269,7 @@ class Evaluation:
                 for name in stages
             ]
             result["step"] = spread([sum(row.values()) - row["policy"] for row in self._seconds])
-        else:
+        elif self.device.words_compared is None:  # else most of the time goes into comparing
             result["agent_steps_per_second"] = max(self._agent_steps_per_second)
         if self._cycles:
             result["clock_cycles"] = {"min": min(self._cycles), "max": max(self._cycles)}

@@ -396,9 +396,10 @@ def test_every_environment_on_a_real_gpu(name: str) -> None:
 
 
 @pytest.mark.gpu
+@pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP])
 @pytest.mark.parametrize("name", pearl_marl.list_envs())
-def test_rollouts_on_a_real_gpu(name: str) -> None:
-    devices = Cuda("numpy").open(config(name, 5_000)), Native().open(config(name, 5_000))
+def test_rollouts_on_a_real_gpu(name: str, mode: AutoresetMode) -> None:
+    devices = [device.open(config(name, 5_000, autoreset_mode=mode)) for device in (Cuda("numpy"), Native())]
     policy = random_network(pearl_marl.get_spec(name), 5)
     found = []
     for device in devices:

@@ -11,7 +11,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import get_spec
-from pearl_marl.devices import BatchConfig, Native, Rtl
+from pearl_marl.devices import BatchConfig, Native, Rtl, make_device
 from pearl_marl.devices.base import Device
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware.policy_words import policy_words, quanta
@@ -123,6 +123,24 @@ CASES = [
         )
     ),
 ]
+
+
+@pytest.mark.parametrize("device", ["native", "reference", "cuda"])
+@pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, NEXT])
+def test_agents_that_end_one_by_one_are_counted(mode: AutoresetMode, device: str) -> None:
+    """As by the count of single steps, which shares nothing with those of rollouts; also begun at a reset."""
+    settings: dict[str, Any] = {"spec": MEADOW, "n_envs": 5, "max_cycles": 20, "autoreset_mode": mode}
+    policy = random_network(np.random.default_rng(2), MEADOW, [8], False)
+    rolling, stepping = make_device(device), Native()
+    rolling.open(BatchConfig(**settings))
+    stepping.open(BatchConfig(**settings | {"spec": MEADOW.in_elements}))
+    rolling.reset(seed=3)
+    obs, due = stepping.reset(seed=3), Expected(5, MEADOW.agents)
+    for steps in (45, 1, 1, 1, 1, 1, 40):
+        found = rolling.rollout(policy, steps)
+        obs = step_by_step(stepping, obs, policy, steps, due)
+        assert (found.episodes, found.truncated.sum()) == (due.ended, due.truncated)
+        assert (found.lengths.sum(), found.returns.sum()) == (due.lengths, due.returns)
 
 
 @pytest.mark.parametrize(("env", "engine", "hidden", "settings", "data_wl"), CASES)
