@@ -36,7 +36,7 @@ COMMANDS = {
     "eval": "Evaluate a policy on a device: returns, lengths, latency of every stage, and a digest.",
     "match": "Let policies play each other where agents share a world: who wins, and what returns they get.",
     "bench": "Measure speed beside that of other packages: "
-    "of steps, of growing numbers of agents, of trainings.",
+    "of steps, rollouts, many agents, and trainings.",
     "verify": "Compare a device with the golden functions, "
     "every word of every field, or replay a divergence.",
     "serve": "Serve a simulated board, to be used with --device xdma:DIR, until Ctrl-C.",

@@ -53,8 +53,8 @@ def steps(cache: Path) -> tuple[list[list[str]], float]:
 def test_kernels_share_long_functions_and_keep_them(tmp_path: Path) -> None:
     kernels, first = steps(tmp_path)
     *_, reset, step = sorted(kernels, key=len)
-    # Both observe the 16 agents by the same functions, and find their masks by the same ones.
-    assert len({*reset} & {*step}) >= 32
+    # Both observe the agents, which are alike, by one function, and find their masks by another.
+    assert len({*reset} & {*step}) >= 2
     # A later process finds them in the files of the kernels; each file holds all that it needs.
     assert steps(tmp_path) == ([], first)
 
