@@ -35,8 +35,7 @@ COMMANDS = {
     "quantize": "Make a policy in integers of a trained one, and measure the returns of both.",
     "eval": "Evaluate a policy on a device: returns, lengths, latency of every stage, and a digest.",
     "match": "Let policies play each other where agents share a world: who wins, and what returns they get.",
-    "bench": "Measure speed beside that of other packages: "
-    "of steps, rollouts, many agents, and trainings.",
+    "bench": "Measure speed beside that of other packages: of steps, rollouts, many agents, and trainings.",
     "verify": "Compare a device with the golden functions, "
     "every word of every field, or replay a divergence.",
     "serve": "Serve a simulated board, to be used with --device xdma:DIR, until Ctrl-C.",

@@ -24,7 +24,7 @@ from pearl_marl.golden.tracing.graph import Graph
 from pearl_marl.golden.tracing.nodes import Node, in_order
 from pearl_marl.golden.tracing.operations import bits_of, wrapped
 from pearl_marl.golden.tracing.trace import location, trace
-from pearl_marl.spec import TERMINATED, EnvSpec, Field
+from pearl_marl.spec import TERMINATED, EnvSpec, Field, Itself
 
 WIDEST = 64
 """Bits of the widest word that a kernel computes with."""
@@ -33,18 +33,6 @@ MOST_CHOICES = 4
 """A table in which at most so many entries differ from the most common one is as many choices."""
 MOST_NUMBERS = 16
 """Numbers that a table is packed into at most."""
-
-
-class Itself(NamedTuple):
-    """A spec that equals only itself, since not all that it has can be hashed."""
-
-    spec: EnvSpec
-
-    def __hash__(self) -> int:
-        return id(self.spec)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Itself) and self.spec is other.spec
 
 
 def golden_functions(spec: EnvSpec) -> list[str]:
