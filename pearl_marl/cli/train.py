@@ -153,9 +153,9 @@ def command(
     best = max(rows, key=lambda row: row["eval_return"])
     result: dict[str, Any] = {"environment": env_id, "algorithm": algo, "folder": str(out)}
     result |= {"best": best, "last": rows[-1]}
-    if quantize and as_json:
-        result["quantized"] = integers.quantize_run(out)
     if as_json:
+        if quantize:
+            result["quantized"] = integers.quantize_run(out)
         common.print_json(result)
         return
     common.say(

@@ -6,7 +6,6 @@ asked for as tensors: then a step only queues its launch and returns, and nothin
 
 from __future__ import annotations
 
-import time
 import warnings
 from bisect import bisect_right
 from collections.abc import Iterator
@@ -30,7 +29,7 @@ from pearl_marl.batch.step import Array, BatchStep, Observed, on_host
 from pearl_marl.checks import checked_choice
 from pearl_marl.compiler.cuda_kernels import THREADS, compile_cuda_kernels, compile_cuda_rollout, simulated
 from pearl_marl.devices.base import Device
-from pearl_marl.devices.rollouts import Sums
+from pearl_marl.devices.rollouts import Sums, in_parts
 from pearl_marl.errors import ActionError, DeviceError
 from pearl_marl.golden import rng
 from pearl_marl.policies.device_policy import DevicePolicy
@@ -39,9 +38,6 @@ from pearl_marl.policies.integer_threads import Room, act, room_sizes, thread_ne
 
 RESIDENT_THREADS = 2048
 """Threads that a processor of a GPU holds at most. More are not started: each takes slot after slot."""
-
-ROLLOUT_SECONDS = 0.1
-"""How long a launch of a rollout lasts at most, about."""
 
 NOTHING_REFUSED = (1 << 63) - 1
 
@@ -231,17 +227,12 @@ class Cuda(Device):
             there, sums = self._copied(network), self._copied(sums)
             kernel = compile_cuda_rollout(config.spec, act)
             arrays = *memory, self._words, self._rewards_there, block, self._wrong, there, room, sums
-            done, some = 0, 1
-            while done < steps:
-                some, began = min(some, steps - done), time.perf_counter()
+            for _, some in in_parts(steps):
                 position = (*self.seed, rng.signed(self.tick), config.first_slot)
                 how = config.limit, self._next_step, self._stored is not self._memory
                 self._launch(kernel, *arrays, *layout.starts[1:], *position, *how, some, n)
                 self._gpu.synchronize()
-                done, self.tick = done + some, (self.tick + some) & rng.LAST_TICK
-                # Between two launches Ctrl-C has its effect.
-                seconds = max(time.perf_counter() - began, 1e-6)
-                some = max(1, int(some * min(8.0, ROLLOUT_SECONDS / seconds)))
+                self.tick = (self.tick + some) & rng.LAST_TICK
             sums = Sums(*(array.copy_to_host() for array in sums))
         observed = self._observe(nobody.astype(np.bool_), again=False)
         return sums.result(steps, {}), observed

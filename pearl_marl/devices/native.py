@@ -26,7 +26,7 @@ from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device, Phase
 from pearl_marl.devices.native_rollout import Batch, addresses_for, compiled_rollout
-from pearl_marl.devices.rollouts import Record, Sums, element_dtype
+from pearl_marl.devices.rollouts import Record, Sums, element_dtype, in_parts
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ActionError
 from pearl_marl.golden import rng
@@ -36,9 +36,6 @@ from pearl_marl.policies.integer_network import IntegerNetwork
 
 SLOW_STEP_SECONDS = 300e-6
 """From here on a second thread can pay: handing it work and waiting for it costs about 50 us."""
-
-ROLLOUT_SECONDS = 0.1
-"""How long a part of a rollout takes, between which Ctrl-C has its effect."""
 
 SECONDS_PER_THREAD = 150e-6
 """The least work a thread is taken for."""
@@ -217,15 +214,8 @@ class Native(Device):
         sums = Sums.of(elapsed, self.in_episode, self.resetting(), episodes)
         kept = Record.of(config, steps if record else 0, policy.logits)
         in_bytes = kept._replace(elements=kept.elements.view(np.uint8))
-        done, some = 0, 1
-        while done < steps:
-            some = min(some, steps - done)
-            began = time.perf_counter()
+        for done, some in in_parts(steps):
             self._run_rollout(addresses, network, sums, in_bytes.between(done, done + some), some)
-            done += some
-            seconds = time.perf_counter() - began
-            # Between two parts Ctrl-C has its effect.
-            some = max(1, int(some * min(8.0, ROLLOUT_SECONDS / max(seconds, 1e-6))))
         observed = self._reset(np.zeros(config.n_envs, np.bool_), None)
         return sums.result(steps, kept.arrays(config) if record else {}), observed
 

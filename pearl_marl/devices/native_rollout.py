@@ -6,7 +6,6 @@ kernel ``step``, and of the policy.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numba
@@ -25,7 +24,7 @@ from pearl_marl.golden import rng
 from pearl_marl.golden.rng import CHAIN_A, CHAIN_B
 from pearl_marl.policies import device_policy, integer_loops
 from pearl_marl.policies.device_policy import FIRST_DRAW
-from pearl_marl.policies.integer_loops import Prepared, compiled_act
+from pearl_marl.policies.integer_loops import Prepared, allocating, compiled_act
 
 TICK, SEED_0, SEED_1, FIRST_SLOT, NEXT_STEP = map(
     STEP_ARGUMENTS.index, ("tick", "seed_0", "seed_1", "first_slot", "next_step")
@@ -33,9 +32,6 @@ TICK, SEED_0, SEED_1, FIRST_SLOT, NEXT_STEP = map(
 
 _jit: Any = numba.njit(error_model="numpy")
 key, draw = (with_callees(function, {}, _jit) for function in (rng.key, rng.draw))
-
-_FOR_LOOPS: Any = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-called: Callable[..., Any] = numba.njit(**_FOR_LOOPS)
 
 
 class Batch(NamedTuple):
@@ -82,13 +78,13 @@ class Batch(NamedTuple):
             arguments[STEP_ARGUMENTS.index(name)] = array.ctypes.data
 
 
-@called
+@allocating
 def _put(words: Array, actions: Array) -> None:
     for i in range(len(words)):
         actions[i] = words[i]
 
 
-@called
+@allocating
 def _add(sums: Sums, batch: Batch, first: int, n: int, t: int, next_step: int) -> None:
     """Add a step of ``n`` agents to the sums; lengths are less by the steps before the present one."""
     rewards, terminations = batch.rewards[first : first + n], batch.terminations[first : first + n]
@@ -121,7 +117,7 @@ def _add(sums: Sums, batch: Batch, first: int, n: int, t: int, next_step: int) -
                 waiting[i] = later
 
 
-@called
+@allocating
 def _make_draws(arguments: Array, tick: Any, agents: int, b: int, draws: Array) -> None:
     """Make the draws of a block's agents."""
     seed_0, seed_1 = np.uint32(arguments[SEED_0]), np.uint32(arguments[SEED_1])

@@ -5,7 +5,8 @@ The sums of a rollout are kept here, too, and its steps, where they are wanted.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,23 @@ from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.device_policy import ActionChoice, DevicePolicy, policy_draws
 from pearl_marl.spec import EnvSpec
+
+PART_SECONDS = 0.1
+"""How long a part of a rollout lasts at most, about."""
+
+
+def in_parts(steps: int) -> Iterator[tuple[int, int]]:
+    """Yield the first step and the number of steps of each part of a rollout, by the time that the last took.
+
+    Between two parts Ctrl-C has its effect.
+    """
+    done, some = 0, 1
+    while done < steps:
+        some, began = min(some, steps - done), time.perf_counter()
+        yield done, some
+        done += some
+        seconds = max(time.perf_counter() - began, 1e-6)
+        some = max(1, int(some * min(8.0, PART_SECONDS / seconds)))
 
 
 class Sums(NamedTuple):
