@@ -129,6 +129,8 @@ CASES = [
 @pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, NEXT])
 def test_agents_that_end_one_by_one_are_counted(mode: AutoresetMode, device: str) -> None:
     """As by the count of single steps, which shares nothing with those of rollouts; also begun at a reset."""
+    if device == "cuda":
+        pytest.importorskip("numba_cuda", reason="numba-cuda is not installed: pip install '.[cuda]'")
     settings: dict[str, Any] = {"spec": MEADOW, "n_envs": 5, "max_cycles": 20, "autoreset_mode": mode}
     policy = random_network(np.random.default_rng(2), MEADOW, [8], False)
     rolling, stepping = make_device(device), Native()
