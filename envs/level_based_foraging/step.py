@@ -18,6 +18,7 @@ Follows https://github.com/semitable/lb-foraging (2.0.0): F. Christianos, L. Sch
 """
 
 import itertools
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeAlias
 
@@ -25,14 +26,16 @@ from pearl_marl.golden import Draws, Word, another, inserted
 from pearl_marl.layout import Array, Bits, Range, Signed
 from pearl_marl.spec import Golden
 
+from .free_cells import Grid, count_of
+
 NORTH, SOUTH, WEST, EAST, LOAD = range(1, 6)
 NOTHING, FAILED, LOADED = 0, 1, 2
 """Categories of reward; what is loaded counts from the last."""
-PAIRS, NIBBLES, BYTES, SHORTS, WORDS = 0x55555555, 0x33333333, 0x0F0F0F0F, 0x00FF00FF, 0x0000FFFF
-
 Thing: TypeAlias = Any
 """A player or a food: its `row`, its `column` and its `level`."""
 NOTHING_SEEN = -1, -1, 0
+FAR = -2
+"""A row that no cell is in or beside."""
 
 
 class Rules(NamedTuple):
@@ -114,12 +117,13 @@ def rewards(rules: Rules, penalty: float) -> tuple[float, ...]:
 
 def make_golden(rules: Rules) -> Golden:
     """Return the state of a game and its golden functions."""
-    size, last = rules.size, rules.size - 1
-    inner = range(1, last)
+    size, last, grid = rules.size, rules.size - 1, Grid(rules.size)
     weakest, strongest = zip(*rules.player_levels, strict=True)
     lightest, heaviest = zip(*rules.food_levels, strict=True)
     most_levels = max(most - least for least, most in rules.player_levels) + 1
     players_differ, foods_differ = differ(rules.player_levels), differ(rules.food_levels)
+    (lowest, highest), *shared = rules.limits
+    weight = math.prod(high - low + 1 for low, high in shared)
     place, seen_place = Range[0, last], Signed[last.bit_length() + 1]
     player_level, food_level = Range[0, rules.strongest], Range[0, rules.most_food]
 
@@ -163,7 +167,7 @@ def make_golden(rules: Rules) -> Golden:
         levels: list[Word] = []
         given: list[Word] = []
         players, which = [], 0
-        free = [sum(1 << column for column in inner)] * size  # a bit a column
+        free = grid.all_free()
         for _ in range(rules.players):
             cell, cells = another(draws, size * size, cells)
             if players_differ:
@@ -173,21 +177,22 @@ def make_golden(rules: Rules) -> Golden:
             player = Player(cell // size, cell % size, level)
             players.append(player)
             levels = inserted(levels, level)
-            free = [bits & ~(1 << player.column) if r == player.row else bits for r, bits in enumerate(free)]
+            free = grid.without(free, player.row, player.column)
 
         foods: list[tuple[Word, Word]] = []
         which, given = 0, []
         for _ in range(rules.foods):
-            counts = [ones(free[r]) for r in inner]
+            counts = [count_of(word) for word in free]
             room = sum(counts)
-            row, column = chosen([free[r] for r in inner], counts, draws.digit(room, len(inner) ** 2))
+            cell = grid.chosen(free, counts, draws.digit(room, (size - 2) ** 2))
+            row, column = cell if room else (1, last - 1)
             if foods_differ:
                 which, given = another(draws, rules.foods, given)
             most = sum(levels[:3]) if heaviest[0] is None else heaviest[which]
             least = most if rules.greatest_only else lightest[which]
             level = least + draws.digit(most - least + 1, rules.most_food - rules.least_food + 1)
             level = min(level, rules.most_food) if room else 0
-            free = [bits & ~around(row - r, column) for r, bits in enumerate(free)]
+            free = grid.far_from(free, row, column)
             # Into its place among the others, which are in order.
             food = row * size + column, level
             for k, other in enumerate(foods):
@@ -199,8 +204,9 @@ def make_golden(rules: Rules) -> Golden:
 
     def step(state: State, actions: Sequence[Word], draws: Draws) -> tuple[State, list[Word], list[Word]]:
         """Let players move and load; an action that the mask leaves out is a wait, as in the package."""
+        foods = foods_of(state)
         players = list(zip(state.players, actions, strict=True))
-        wishes = [wish(player, action, state.foods) for player, action in players]
+        wishes = [wish(player, action, foods) for player, action in players]
         moved = []
         for k, (player, cell) in enumerate(zip(state.players, wishes, strict=True)):
             contested = any(cell == other for other in wishes[:k] + wishes[k + 1 :])
@@ -209,19 +215,19 @@ def make_golden(rules: Rules) -> Golden:
 
         # Who loads does not move, so it does not matter that others have.
         left = []
-        loads = [(0, 0, NOTHING)] * rules.players
-        for food in state.foods:
+        loads = [NOTHING] * rules.players
+        for food in foods:
             loading = [action == LOAD and is_beside(player, food) for player, action in players]
             strength = sum(player.level for (player, _), own in zip(players, loading, strict=True) if own)
             taken = food.level != 0 and strength >= food.level
-            left.append(food._replace(level=0 if taken else food.level))
-            for k, own in enumerate(loading):
-                if own:
-                    loads[k] = food.level, strength, LOADED if taken else FAILED
+            left.append(0 if taken else food.level)
+            outcome = LOADED + number((food.level, strength, state.all_food)) if taken else FAILED
+            loads = [outcome if own else other for own, other in zip(loading, loads, strict=True)]
         rewards = [
-            LOADED + number((player.level, *load, state.all_food)) if outcome == LOADED else outcome
-            for player, (*load, outcome) in zip(state.players, loads, strict=True)
+            load + (min(max(player.level, lowest), highest) - lowest) * weight if load >= LOADED else load
+            for player, load in zip(state.players, loads, strict=True)
         ]
+        left = [food._replace(level=level) for food, level in zip(state.foods, left, strict=True)]
         over = not any(food.level for food in left)
         return state._replace(players=moved, foods=left), rewards, [over] * rules.players
 
@@ -232,15 +238,15 @@ def make_golden(rules: Rules) -> Golden:
         return (player.row, player.column) if is_food(foods, row, column) else (row, column)
 
     def number(parts: Sequence[Word]) -> Word:
-        """Return the number of what is loaded among :func:`rewards`."""
+        """Return the number of what is loaded among :func:`rewards`, for a player of the lowest level."""
         result = 0
-        for part, (low, high) in zip(parts[: len(rules.limits)], rules.limits, strict=True):
+        for part, (low, high) in zip(parts[: len(shared)], shared, strict=True):
             result = result * (high - low + 1) + min(max(part, low), high) - low
         return result
 
     def masks(state: State, agent: int) -> tuple[Word, ...]:
         """Return which actions are possible: food and edges are in the way, players are not."""
-        player, foods = state.players[agent], state.foods
+        player, foods = state.players[agent], foods_of(state)
         row, column, _ = player
         return (
             1,
@@ -271,45 +277,19 @@ def make_golden(rules: Rules) -> Golden:
     return Golden(State, initial, step, observe, masks, View)
 
 
-def ones(word: Word) -> Word:
-    """Count the ones of up to 32 bits."""
-    for width, kept in ((1, PAIRS), (2, NIBBLES), (4, BYTES), (8, SHORTS), (16, WORDS)):
-        word = (word & kept) + (word >> width & kept)
-    return word
-
-
-def chosen(lines: Sequence[Word], counts: Sequence[Word], rank: Word) -> tuple[Word, Word]:
-    """Return row and column of one of the ones in ``lines``, which are the rows from 1."""
-    before, row, line, within = 0, 1, 0, 0
-    for k, (bits, count) in enumerate(zip(lines, counts, strict=True)):
-        if before <= rank < before + count:
-            row, line, within = k + 1, bits, rank - before
-        before += count
-    passed, column = 0, 1
-    for k in range(1, len(lines)):
-        passed += line >> k & 1
-        column += passed <= within
-    return row, column
-
-
-def around(below: Word, column: Word) -> Word:
-    """Return the columns of a row where no more food may be, for food that is so many rows below it."""
-    distance = abs(below)
-    if distance == 0:
-        return 31 << column >> 2
-    if distance == 1:
-        return 7 << column >> 1
-    return 1 << column if distance == 2 else 0
+def foods_of(state: Any) -> list[Thing]:
+    """Return the foods; those that are none are far from every cell."""
+    return [food if food.level else food._replace(row=FAR) for food in state.foods]
 
 
 def is_food(foods: Sequence[Thing], row: Word, column: Word) -> Word:
     """Return whether there is food in a cell."""
-    return any(food.level != 0 and food.row == row and food.column == column for food in foods)
+    return any(food.row == row and food.column == column for food in foods)
 
 
 def is_beside(player: Thing, food: Thing) -> Word:
     """Return whether food is next to a player, in a row or a column."""
-    return food.level != 0 and abs(food.row - player.row) + abs(food.column - player.column) == 1
+    return abs(food.row - player.row) + abs(food.column - player.column) == 1
 
 
 def closed_up(things: Sequence[Thing], flags: Sequence[Word]) -> list[Thing]:

@@ -26,18 +26,29 @@ _objects: dict[str, bytes] = {}
 """The object code of each symbol that code of this process can call."""
 
 
-def compiled(text: str, name: str) -> str:
-    """Compile the function of that name in LLVM's text of a module; return the symbol to call it by."""
-    symbol = f"{PREFIX}{hashlib.sha256(text.encode()).hexdigest()[:32]}"
+def compiled(text: str, name: str, passes: bool = True, effort: int = 3) -> str:
+    """Compile the function of that name in LLVM's text of a module; return the symbol to call it by.
+
+    Parameters
+    ----------
+    text, name
+        The module, and the name of its function.
+    passes
+        Whether LLVM's passes go over it, which turn loops into SIMD code.
+    effort
+        How well instructions are selected and registers used, 0 to 3.
+    """
+    symbol = f"{PREFIX}{hashlib.sha256(f'{passes} {effort} {text}'.encode()).hexdigest()[:32]}"
     if symbol not in _objects:
         module = llvm.parse_assembly(text.replace(f'@"{name}"', f'@"{symbol}"'))
         module.verify()  # or LLVM ends the process where something is wrong
-        _, machine = _engine()
+        machine = _machine(effort)
         module.data_layout = str(machine.target_data)
-        tuning = llvm.create_pipeline_tuning_options(speed_level=3)
-        tuning.loop_vectorization = True
-        builder = llvm.create_pass_builder(machine, tuning)
-        builder.getModulePassManager().run(module, builder)
+        if passes:
+            tuning = llvm.create_pipeline_tuning_options(speed_level=3)
+            tuning.loop_vectorization = True
+            builder = llvm.create_pass_builder(machine, tuning)
+            builder.getModulePassManager().run(module, builder)
         add({symbol: machine.emit_object(module)})
     return symbol
 
@@ -51,7 +62,7 @@ def add(objects: dict[str, bytes]) -> None:
     """Let the code of this process call functions that have been compiled, here or elsewhere."""
     for symbol, code in objects.items():
         if symbol not in _objects:
-            engine, _ = _engine()
+            engine = _engine()
             engine.add_object_file(llvm.ObjectFileRef.from_data(code))
             engine.finalize_object()
             llvm.add_symbol(symbol, engine.get_function_address(symbol))
@@ -59,14 +70,20 @@ def add(objects: dict[str, bytes]) -> None:
 
 
 @functools.cache
-def _engine() -> tuple[Any, Any]:
-    """Return what holds the machine code, and what makes it: of the kind that Numba's code is."""
-    triple, processor, features = cpu_target.target_context.codegen().magic_tuple()
-    target = llvm.Target.from_triple(triple)
-
-    def machine() -> Any:
-        return target.create_target_machine(processor, features, int(CONFIG.OPT), jit=True)
-
-    empty = llvm.parse_assembly(f'target triple = "{triple}"')
+def _engine() -> Any:
+    """Return what holds the machine code."""
+    empty = llvm.parse_assembly(f'target triple = "{_kind()[0]}"')
     lmm = CONFIG.USE_LLVMLITE_MEMORY_MANAGER
-    return llvm.create_mcjit_compiler(empty, machine(), use_lmm=lmm), machine()
+    return llvm.create_mcjit_compiler(empty, _machine(int(CONFIG.OPT)), use_lmm=lmm)
+
+
+def _machine(effort: int) -> Any:
+    """Return what makes machine code, of the kind that Numba's code is; Numba's settings may ask for less."""
+    triple, processor, features = _kind()
+    target = llvm.Target.from_triple(triple)
+    return target.create_target_machine(processor, features, min(effort, int(CONFIG.OPT)), jit=True)
+
+
+def _kind() -> tuple[str, str, str]:
+    kind: tuple[str, str, str] = cpu_target.target_context.codegen().magic_tuple()
+    return kind

@@ -44,6 +44,9 @@ LINE = 64
 LONG = 200
 """Instructions from which on a function is compiled by itself: its work takes far longer than a call."""
 
+VERY_LONG = 10_000
+"""Instructions from which on one without loops is compiled in no time rather than well."""
+
 FAILED = ir.IntType(8)
 """What such a function returns: 1 where there is no memory left, and else 0."""
 
@@ -324,7 +327,10 @@ class Code(Writer):
     def choose(self, type_: Any, flag: Value, a: Value | float, b: Value | float) -> Value:
         """Return one of two words, by the lowest bit of a flag."""
         self.count(operations=1)
-        chosen = self.trunc(flag.value, ir.IntType(1))
+        byte, bit = flag.value, ir.IntType(1)
+        # A comparison has made a byte of a bit; the bit itself saves LLVM much of its work.
+        compared = getattr(byte, "opname", None) == "zext" and byte.operands[0].type == bit
+        chosen = byte.operands[0] if compared else self.trunc(byte, bit)
         return Value(self, self.select(chosen, self.word(type_, a).value, self.word(type_, b).value), type_)
 
     def table(self, table: Any) -> Column:
@@ -495,7 +501,8 @@ class Code(Writer):
         )
         function(code, own, *more)
         code.ret(FAILED(0))
-        if sum(len(block.instructions) for block in alone.blocks) < LONG:
+        length = sum(len(block.instructions) for block in alone.blocks)
+        if length < LONG:
             return None
         used = [
             (name, argument) for name, argument in zip(names, alone.args, strict=True) if name in own.used
@@ -505,7 +512,11 @@ class Code(Writer):
                 # Words are in one array or in another; so LLVM need not find out at each loop.
                 argument.add_attribute("noalias")
         alone.args = tuple(argument for _, argument in used)
-        symbol = object_code.compiled(str(alone.module), alone.name)
+        # A function without loops starts an episode. It is made of a graph that is simplified already, so
+        # LLVM's passes would not make it faster; and a very long one would take seconds to be compiled well.
+        loops = len(alone.blocks) > 1
+        effort = 0 if length >= VERY_LONG and not loops else 3
+        symbol = object_code.compiled(str(alone.module), alone.name, loops, effort)
         return Compiled(symbol, [name for name, _ in used])
 
 

@@ -40,6 +40,14 @@ class Writer(ir.IRBuilder):  # type: ignore[misc]
         self.memory = memory
         self.loops: list[Loop] = []
 
+    def gep(self, pointer: Any, indices: Any, inbounds: bool = True, **named: Any) -> Any:
+        """Return an address among the words that a pointer leads to.
+
+        LLVM is told that it stays among them. Else it takes addresses that wrap into account, and leaves a
+        loop with many of them as it is.
+        """
+        return super().gep(pointer, indices, inbounds=inbounds, **named)
+
     def count(self, operations: int = 0, accesses: int = 0, scattered: int = 0) -> None:
         """Say what is written next; in a loop that is too long, it begins a new part."""
         if self.loops:

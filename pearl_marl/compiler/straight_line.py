@@ -127,7 +127,10 @@ def _with_merged_sums(graph: Graph, results: Sequence[Node]) -> list[Node]:
     users = Counter(arg for node in order for arg in node.args)
     new: dict[Node, Node] = {}
     for node in order:
-        again = graph.within(graph.again(node, [new[arg] for arg in node.args]), node.low, node.high)
+        args = [new[arg] for arg in node.args]
+        again = node
+        if any(arg is not old for arg, old in zip(args, node.args, strict=True)):
+            again = graph.within(graph.again(node, args), node.low, node.high)
         new[node] = again
         if node.op == again.op == "add" and again.args[1].is_constant() and users[node.args[0]] == 1:
             shifted, constant = again.args

@@ -13,8 +13,8 @@ from scipy import stats
 
 import pearl_marl
 from pearl_marl import EnvSpec
+from pearl_marl.envs.level_based_foraging.free_cells import Grid, count_of
 from pearl_marl.envs.level_based_foraging.picture import CELL, FOOD, PLAYER
-from pearl_marl.envs.level_based_foraging.step import chosen, ones
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
 from pearl_marl.porting.oracle import Games, Ours, Outcome, compare
@@ -289,22 +289,33 @@ def test_every_start_of_a_small_grid() -> None:
     assert p > 0.001
 
 
-def test_every_place_is_as_likely() -> None:
-    """Of rows of bits, each number below their count is another one of them."""
+def test_every_free_cell_is_as_likely() -> None:
+    """Each number below the count of free cells is another one of them."""
     generator = np.random.default_rng(0)
-    for wide in (3, 6, 17, 30):
-        lines = [generator.integers(1 << wide, size=40) << 1 for _ in range(wide)]
-        counts = [call_reference(ones, [line])[0] for line in lines]
-        np.testing.assert_array_equal(counts, [[int(bits).bit_count() for bits in line] for line in lines])
-        total = np.sum(counts, 0)
-        ranks = np.arange(total.max())[:, None]
-        words = [np.broadcast_to(word, (len(ranks), 40)) for word in (*lines, *counts, ranks)]
-        rows, columns = call_reference(lambda *w, k=wide: chosen(w[:k], w[k : 2 * k], w[-1]), words)
-        for i in range(40):
-            found = list(zip(rows[: total[i], i], columns[: total[i], i], strict=True))
-            assert found == [
-                (r + 1, c) for r in range(wide) for c in range(1, wide + 1) if lines[r][i] >> c & 1
-            ]
+    for size in (5, 8, 10, 17, 18, 32):
+        grid, n = Grid(size), 10
+        # Grids of food that came by itself, and how many cells each has left.
+        free = [np.full(n, word, np.uint64) for word in grid.all_free()]
+        left = [{(r, c) for r in range(1, size - 1) for c in range(1, size - 1)} for _ in range(n)]
+        for visit in (grid.without, grid.far_from):
+            low, high = (0, size) if visit == grid.without else (1, size - 1)
+            rows, columns = generator.integers(low, high, (2, n))
+            free = call_reference(lambda *w, act=visit: act(w[:-2], *w[-2:]), [*free, rows, columns])
+            reach = 0 if visit == grid.without else 2
+            for cells, row, column in zip(left, rows, columns, strict=True):
+                cells -= {(r, c) for r, c in cells if abs(r - row) + abs(c - column) <= reach}
+        counts = call_reference(lambda *words: [count_of(word) for word in words], free)
+        assert [sum(map(int, of)) for of in zip(*counts, strict=True)] == list(map(len, left))
+        ranks = np.arange(max(map(len, left)))[:, None]
+        words = [np.broadcast_to(word, (len(ranks), n)) for word in (*free, *counts, ranks)]
+
+        def chosen(*words: Any, grid: Grid = grid, k: int = len(free)) -> Any:
+            return grid.chosen(words[:k], words[k : 2 * k], words[-1])
+
+        rows, columns = call_reference(chosen, words)
+        for i, cells in enumerate(left):
+            found = zip(rows[: len(cells), i], columns[: len(cells), i], strict=True)
+            assert list(found) == sorted(cells)
 
 
 def test_pictures() -> None:

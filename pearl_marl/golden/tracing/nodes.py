@@ -183,7 +183,11 @@ class Nodes:
     def _make_axis(self, node: Node) -> None:
         if self.exact and node.axis is None and node.high - node.low < MOST_VALUES and node.op != "constant":
             found = node.function
-            values = np.arange(node.low, node.high + 1) if found is None else np.unique(found.values)
+            if found is None:
+                values = np.arange(node.low, node.high + 1)
+            else:
+                least = found.values.min()
+                values = least + np.flatnonzero(np.bincount(found.values.ravel() - least))
             node.axis = len(self._domains)
             self._domains.append(values)
             if found is None:
@@ -211,20 +215,28 @@ class Nodes:
             whole = Function((largest.axis,), self._domains[largest.axis])
             functions = [whole if a is largest else f for a, f in zip(args, functions, strict=True)]
         axes = self._axes(functions)
-        shape = [len(self._domains[axis]) for axis in axes]
+        shape = tuple(len(self._domains[axis]) for axis in axes)
         arrays = [
-            f.values.reshape([size if axis in f.axes else 1 for axis, size in zip(axes, shape, strict=True)])
+            f.values
+            if f.axes in ((), axes)
+            else f.values.reshape([n if axis in f.axes else 1 for axis, n in zip(axes, shape, strict=True)])
             for f in functions
         ]
-        values = np.broadcast_to(VALUES[op](imm, *arrays), shape).astype(np.int64)
+        values = np.asarray(VALUES[op](imm, *arrays), np.int64)
+        if values.shape != shape:
+            values = np.broadcast_to(values, shape)
         kept = [i for i in range(len(axes)) if not (values == values.take([0], i)).all()]
-        values = values[tuple(slice(None) if i in kept else 0 for i in range(len(axes)))]
+        if len(kept) < len(axes):
+            values = values[tuple(slice(None) if i in kept else 0 for i in range(len(axes)))]
         return Function(tuple(axes[i] for i in kept), np.ascontiguousarray(values))
 
-    def _axes(self, functions: Iterable[Function]) -> list[int]:
-        return sorted({axis for f in functions for axis in f.axes})
+    def _axes(self, functions: Sequence[Function]) -> tuple[int, ...]:
+        several = {f.axes for f in functions if f.axes}
+        if len(several) == 1:
+            return several.pop()
+        return tuple(sorted({axis for axes in several for axis in axes}))
 
-    def _cases(self, functions: Iterable[Function]) -> int:
+    def _cases(self, functions: Sequence[Function]) -> int:
         return math.prod(len(self._domains[axis]) for axis in self._axes(functions))
 
 
