@@ -227,9 +227,9 @@ def make_golden(rules: Rules) -> Golden:
             load + (min(max(player.level, lowest), highest) - lowest) * weight if load >= LOADED else load
             for player, load in zip(state.players, loads, strict=True)
         ]
-        left = [food._replace(level=level) for food, level in zip(state.foods, left, strict=True)]
-        over = not any(food.level for food in left)
-        return state._replace(players=moved, foods=left), rewards, [over] * rules.players
+        over = not any(left)
+        remaining = [food._replace(level=level) for food, level in zip(state.foods, left, strict=True)]
+        return state._replace(players=moved, foods=remaining), rewards, [over] * rules.players
 
     def wish(player: Thing, action: Word, foods: Sequence[Thing]) -> tuple[Word, Word]:
         """Return row and column that a player wants to be in: edges and food are in its way."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import subprocess
@@ -9,6 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import llvmlite.binding as llvm
 import numba
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from .plain import inlined
 add = operations()["int32_add"]
 
 STEPS = """
+import ctypes
 import json
 import numpy as np
 import pearl_marl
@@ -111,3 +114,15 @@ def test_symbols_are_found_in_what_calls_them() -> None:
     assert symbol == object_code.compiled(text, "alone")
     (code,) = object_code.called(f"declare i8 @{symbol}()\ndeclare i8 @other()").values()
     assert symbol.encode() in code
+
+
+@pytest.mark.parametrize("passes", [True, False])
+@pytest.mark.parametrize("effort", [0, 3])
+def test_code_does_the_same_however_it_is_compiled(passes: bool, effort: int) -> None:
+    text = 'define i32 @"alone"(i32 %x) {\n  %y = mul i32 %x, 3\n  %z = add i32 %y, 4\n  ret i32 %z\n}\n'
+    symbol = object_code.compiled(text, "alone", passes, effort)
+    call = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int32)(llvm.address_of_symbol(symbol))
+    assert [call(x) for x in (-5, 0, 7)] == [-11, 4, 25]
+    (code,) = object_code.called(symbol).values()
+    other = object_code.compiled(text, "alone", passes, 3 - effort)
+    assert code not in object_code.called(other).values()
