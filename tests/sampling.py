@@ -11,6 +11,20 @@ exhaustive = False
 """Whether all parameters are wanted: to make thousands of tests only to leave them out takes seconds."""
 
 
+KINDS = (
+    "Blackjack",
+    "CartPole",
+    "CliffWalking",
+    "ConnectFour",
+    "LevelBasedForaging",
+    "Overcooked",
+    "Pendulum",
+    "Seaquest",
+)
+"""Environments that differ in what interfaces and devices can tell apart: spaces, draws, masks, turns,
+worlds, pictures. Each of the others is like one of them to everything but its own tests."""
+
+
 def sampled(values: Iterable[Any], always: Container[Any]) -> list[Any]:
     """Return parameters of a test; those that are not among ``always`` are exhaustive."""
     if not exhaustive:

@@ -27,6 +27,8 @@ from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Bits, Flag, Signed
 from pearl_marl.spec import Field, Golden
 
+from .sampling import KINDS, sampled
+
 
 class DriftState(NamedTuple):
     """Where the thing is, what moves it on, and two numbers that go round."""
@@ -191,4 +193,4 @@ def with_state(spec: EnvSpec, fields: Sequence[Field]) -> EnvSpec:
     return changed
 
 
-ENVIRONMENTS = (*pearl_marl.list_envs(), *(spec.name for spec in TOYS))
+ENVIRONMENTS = (*sampled(pearl_marl.list_envs(), KINDS), *(spec.name for spec in TOYS))

@@ -24,6 +24,7 @@ from pearl_marl.testing import (
 )
 
 from ..devices.boards import OwnBoard
+from ..sampling import KINDS
 from ..toy import TOYS
 from ..toy_fields import FIELDS, RELAY, ROVER
 from ..toy_world import MEADOW, WORLDS
@@ -56,7 +57,7 @@ class OfTwoSizes:
 
 
 class TestEnvironments(ContractSuite):
-    environments = tuple(pearl_marl.list_envs())
+    environments = KINDS
     devices = ("native",)
 
     @pytest.mark.slow
@@ -75,6 +76,20 @@ class TestEnvironments(ContractSuite):
         assert_same_trajectory(*runs)
 
 
+OTHER_ENVIRONMENTS = tuple(name for name in pearl_marl.list_envs() if name not in KINDS)
+
+
+class TestOtherEnvironments(DeviceSuite):
+    environments = OTHER_ENVIRONMENTS
+    devices = ("native",)
+
+
+@pytest.mark.exhaustive
+class TestOtherEnvironmentsInEveryForm(ContractSuite):
+    environments = OTHER_ENVIRONMENTS
+    devices = ("native",)
+
+
 IN_EVERY_FORM = ("Blackjack", "CliffWalking", "ConnectFour", "Pendulum")
 """Which have observations and actions of all kinds, draws, masks and turns."""
 OTHERS = tuple(name for name in pearl_marl.list_envs() if name not in IN_EVERY_FORM)
@@ -88,9 +103,12 @@ class TestSimulated(OfTwoSizes, ContractSuite):
 
 
 class TestSimulatedDevices(OfTwoSizes, DeviceSuite):
-    """The hardware of the other environments. Interfaces ask no device which environment it has."""
+    """The hardware of other kinds. Interfaces ask no device which environment it has.
 
-    environments = OTHERS
+    ``tests/rtl/test_cores.py`` simulates the cores of all environments.
+    """
+
+    environments = tuple(name for name in KINDS if name not in IN_EVERY_FORM)
     devices = ("rtl",)
 
 

@@ -19,7 +19,9 @@ from pettingzoo.utils.conversions import aec_to_parallel
 import pearl_marl
 from pearl_marl.errors import ActionError, DeviceError, OrderError
 
-NAMES = pearl_marl.list_envs()
+from ..sampling import KINDS, sampled
+
+NAMES = sampled(pearl_marl.list_envs(), KINDS)
 
 
 @pytest.fixture(autouse=True)

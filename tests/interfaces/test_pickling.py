@@ -23,6 +23,10 @@ from pearl_marl.batch.actions import random_actions
 from pearl_marl.errors import OrderError
 from pearl_marl.testing.case import assert_same_step
 
+from ..sampling import KINDS, sampled
+
+ENVIRONMENTS = sampled(pearl_marl.list_envs(), KINDS)
+
 WORLDS = 3
 
 
@@ -88,7 +92,7 @@ BATCHES: dict[str, Callable[[str], Any]] = {
 
 
 @pytest.mark.parametrize("form", BATCHES)
-@pytest.mark.parametrize("name", pearl_marl.list_envs())
+@pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_environments_go_on(name: str, form: str) -> None:
     env = BATCHES[form](name)
     env.reset(seed=5)
@@ -106,7 +110,7 @@ def test_environments_go_on(name: str, form: str) -> None:
                 assert other.agents == env.agents
 
 
-@pytest.mark.parametrize("name", pearl_marl.list_envs())
+@pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_environments_that_have_not_begun(name: str) -> None:
     env = parallel(name)
     other = pickled(env)
@@ -116,7 +120,7 @@ def test_environments_that_have_not_begun(name: str) -> None:
     np.testing.assert_array_equal(other.reset_batch(3), env.reset_batch(3))
 
 
-@pytest.mark.parametrize("name", pearl_marl.list_envs())
+@pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_the_turns_of_the_aec_form_go_on(name: str) -> None:
     env = pearl_marl.env(name)
     env.reset(seed=1)
@@ -138,7 +142,7 @@ def test_the_turns_of_the_aec_form_go_on(name: str) -> None:
             assert [act(other, t) for other in copies] == [expected] * len(copies)
 
 
-@pytest.mark.parametrize("name", pearl_marl.list_envs())
+@pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_sb3_environments_go_on(name: str) -> None:
     pytest.importorskip("stable_baselines3")
     inside = parallel(name, max_cycles=2)
@@ -261,7 +265,7 @@ def test_there_is_no_copy_of_a_step_under_way(duplicate: Any) -> None:
     env.recv()
 
 
-@pytest.mark.parametrize("name", pearl_marl.list_envs())
+@pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_specs_come_back(name: str) -> None:
     """With every function doing the same, which is what the hash of a kernel or of hardware goes by."""
     from pearl_marl.hardware.elaboration import env_hash

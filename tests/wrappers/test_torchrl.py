@@ -16,6 +16,7 @@ from pearl_marl.errors import ActionError, ArgumentError, OrderError
 from pearl_marl.golden import reference
 from pearl_marl.wrappers import agent_indicator_v0, dtype_v0, flatten_v0, frame_skip_v0, frame_stack_v1
 
+from ..sampling import KINDS, sampled
 from ..toy import TOYS
 from ..toy_fields import FIELDS
 from ..toy_world import HARES, WORLDS, crowd
@@ -51,7 +52,7 @@ def rows(tensordict: Any, groups: list[str], key: str) -> Any:
     return [tensordict[group, key].numpy() for group in groups]
 
 
-@pytest.mark.parametrize("name", [*pearl_marl.list_envs(), *TOY_NAMES])
+@pytest.mark.parametrize("name", [*sampled(pearl_marl.list_envs(), KINDS), *TOY_NAMES])
 @pytest.mark.parametrize("state", [False, True])
 def test_specs(name: str, state: bool) -> None:
     env = to_torchrl(made(name, 3, max_cycles=2), state=state)
