@@ -17,12 +17,12 @@ from pearl_marl.cli.common import error_console
 from pearl_marl.cli.interrupts import interrupts
 from pearl_marl.errors import ArgumentError
 
-ALGORITHMS = ("ppo", "dqn", "q-learning", "ippo", "mappo", "iql", "self-play")
+ALGORITHMS = ("ppo", "pqn", "dqn", "q-learning", "ippo", "mappo", "iql", "self-play")
 Algorithm = Annotated[
     str,
     typer.Option(
         "--algo",
-        help="`ppo`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `self-play`.",
+        help="`ppo`, `pqn`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `self-play`.",
         autocompletion=common.completed(lambda: ALGORITHMS),
     ),
 ]
@@ -54,7 +54,7 @@ Shards = Annotated[
     int | None,
     typer.Option(
         "--shards",
-        help="Number of Ray processes that step agents; `ppo` only.",
+        help="Number of Ray processes that step agents; `ppo` and `pqn`.",
         show_default="this process",
     ),
 ]

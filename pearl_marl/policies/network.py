@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy.typing as npt
 import torch
 from gymnasium.spaces import Box, Space
 from torch import Tensor, nn
+from torch.nn.functional import layer_norm
 
 from pearl_marl.compiler.packing import unpacked
 from pearl_marl.errors import ArgumentError
@@ -162,7 +164,9 @@ class Encoder(nn.Module):
 class Network(nn.Module):
     """An :class:`Encoder`, a hidden layer as wide, and an output layer whose first weights have ``scale``.
 
-    With ``positions``, the first layer is also told which of so many agents of a world it is for.
+    With ``positions``, the first layer is also told which of so many agents of a world it is for. With
+    ``layer_norm``, what each of the two layers makes is standardised, row by row (Ba et al., 2016,
+    arXiv:1607.06450), without weights of its own.
     """
 
     def __init__(
@@ -173,9 +177,10 @@ class Network(nn.Module):
         scale: float = 1.0,
         positions: int = 0,
         packs: EnvSpec | None = None,
+        layer_norm: bool = False,
     ) -> None:
         super().__init__()
-        self.encoder = Encoder(space, width, packs)
+        self.encoder, self.layer_norm = Encoder(space, width, packs), layer_norm
         self.hidden, self.output = nn.Linear(width, width), nn.Linear(width, outputs)
         nn.init.orthogonal_(self.hidden.weight, 2**0.5)
         nn.init.orthogonal_(self.output.weight, scale)
@@ -192,9 +197,14 @@ class Network(nn.Module):
         first = self.encoder(obs)
         if self.indicator is not None:
             first = first + self.indicator(position)
-        bend = torch.relu if self.encoder.kind == "picture" else torch.tanh
-        features: Tensor = bend(self.hidden(bend(first)))
+        features: Tensor = self._bent(self.hidden(self._bent(first)))
         return features
+
+    def _bent(self, made: Tensor) -> Tensor:
+        """Return what a layer made, standardised or not, through the nonlinearity."""
+        if self.layer_norm:
+            made = layer_norm(made, made.shape[1:], eps=dense.EPSILON)
+        return torch.relu(made) if self.encoder.kind == "picture" else torch.tanh(made)
 
     def forward(self, obs: Tensor, position: Tensor | None = None) -> Tensor:
         """Return the outputs, shape ``(batch, outputs)``; of agents with these positions in their worlds."""
@@ -220,7 +230,7 @@ class Network(nn.Module):
         )
         if instead is not None:
             tensors = tuple(instead.get(tensor, tensor) for tensor in tensors)
-        return dense.Layers(*(tensor.detach().numpy() for tensor in tensors))
+        return dense.Layers(*(tensor.detach().numpy() for tensor in tensors), self.layer_norm)
 
     def observed(self, obs: Tensor, position: Tensor | None) -> dense.Observed:
         """Return observations as compiled loops take them."""
@@ -268,10 +278,15 @@ class SeparateNetworks(nn.ModuleList):
 
 
 def networks(
-    spec: EnvSpec, outputs: int, width: int, scale: float = 1.0, sharing: str = "all"
+    spec: EnvSpec,
+    outputs: int,
+    width: int,
+    scale: float = 1.0,
+    sharing: str = "all",
+    layer_norm: bool = False,
 ) -> Network | SeparateNetworks:
     """Return networks for a world's agents, with so many outputs; ``sharing`` is of :data:`SHARING`."""
-    space = spec.observation_space
+    made = partial(Network, spec.observation_space, outputs, width, scale, packs=spec, layer_norm=layer_norm)
     if sharing == "none":
-        return SeparateNetworks(Network(space, outputs, width, scale, packs=spec) for _ in range(spec.agents))
-    return Network(space, outputs, width, scale, spec.agents if sharing == "indicator" else 0, spec)
+        return SeparateNetworks(made() for _ in range(spec.agents))
+    return made(positions=spec.agents if sharing == "indicator" else 0)

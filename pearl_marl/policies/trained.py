@@ -5,6 +5,7 @@ A trained policy is a ``policy.safetensors`` with all that is needed to use it a
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -85,6 +86,8 @@ class NetworkPolicy(_Trained):
         How random its actions are where it is used. With ``"logits"``, they are drawn at this temperature; 0
         takes the most probable. With ``"values"``, this share is random. Two agents of a team that both want
         to be in the same cell, and always take the best action, wait for each other forever.
+    layer_norm
+        Whether layers are standardised: see :class:`~pearl_marl.policies.network.Network`.
     """
 
     bound: Tensor
@@ -99,10 +102,12 @@ class NetworkPolicy(_Trained):
         sharing: str = "all",
         temperature: float = 0.0,
         epsilon: float = 0.0,
+        layer_norm: bool = False,
     ) -> None:
         sharing = sharing if spec.agents > 1 else "all"
         randomness = {"logits": {"temperature": temperature}, "values": {"epsilon": epsilon}}.get(kind, {})
-        super().__init__(spec, kind=kind, width=width, sharing=sharing, **randomness)
+        described: dict[str, Any] = {"layer_norm": True} if layer_norm else {}
+        super().__init__(spec, kind=kind, width=width, sharing=sharing, **randomness, **described)
         self.temperature, self.epsilon = temperature, epsilon
         self.random = torch.Generator().manual_seed(0)
         actions = spec.action_space
@@ -110,12 +115,13 @@ class NetworkPolicy(_Trained):
             kind == "values" and not isinstance(actions, Discrete)
         ):
             raise ArgumentError(
-                f"dqn chooses among numbered actions, and {spec.name}'s are in {actions}: use ppo"
+                f"action values are of numbered actions, and {spec.name}'s are in {actions}: use ppo"
             )
         self.heads = [] if isinstance(actions, (Box, Discrete)) else list(spec.action_counts)
         """How many outputs each field of an action has, where it has fields to be chosen one by one."""
         self.outputs = sum(spec.action_counts) or len(spec.action_fields)
-        self.network = networks(spec, self.outputs, width, 1.0 if kind == "values" else 0.01, sharing)
+        scale = 1.0 if kind == "values" else 0.01
+        self.network = networks(spec, self.outputs, width, scale, sharing, layer_norm)
         low, high = bounds(actions) if isinstance(actions, Box) else np.array([[-1], [1]], np.float32)
         self.register_buffer("bound", torch.from_numpy((high - low) / 2))
         for name, end in (("low", low), ("high", high)):
@@ -265,10 +271,13 @@ def _described(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPoli
     hidden = tensors.get(layer, _SCALAR)
     if width < 1 or hidden.shape != (width, width):
         raise ArgumentError(f"its policy has the width {brief(width)}, and layers of {tuple(hidden.shape)}")
+    if not isinstance(layer_norm := about.get("layer_norm", False), bool):
+        raise ArgumentError(f"its policy has the layer_norm {brief(layer_norm)}; possible are true, false")
+    make = partial(NetworkPolicy, spec, about["kind"], width, sharing, layer_norm=layer_norm)
     name = {"logits": "temperature", "values": "epsilon"}.get(about["kind"])
     if name is None:
-        return NetworkPolicy(spec, about["kind"], width, sharing)
+        return make()
     randomness = about.get(name, about.get("chance", 0.0))  # older files have "chance" for both
     if not is_number(randomness) or randomness < 0:
         raise ArgumentError(f"its policy has the {name} {brief(randomness)}; it must be a number from 0")
-    return NetworkPolicy(spec, about["kind"], width, sharing, **{name: float(randomness)})
+    return make(**{name: float(randomness)})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import torch
@@ -49,6 +49,11 @@ class ActorCritic(nn.Module):
         Whether the critic is given the state of the whole world, and has an output for each of its agents,
         instead of what the agent observes. The policy is not, so agents act on their own all the same.
     """
+
+    @classmethod
+    def of(cls, spec: EnvSpec, settings: Any, central: bool = False) -> Self:
+        """Return the model of a run with these settings."""
+        return cls(spec, settings.width, settings.sharing, settings.temperature, central)
 
     def __init__(
         self, spec: EnvSpec, width: int, sharing: str = "all", temperature: float = 0.0, central: bool = False
@@ -112,7 +117,7 @@ class ActorCritic(nn.Module):
         features = self.actor.features(inputs.obs, inputs.position)
         return masked(self.actor.output(features), inputs.masks), self.critic(features)[:, 0]
 
-    def noise(self, shape: tuple[int, ...], random: torch.Generator) -> Tensor:
+    def noise(self, shape: tuple[int, ...], random: torch.Generator, _: float = 0.0) -> Tensor:
         """Return the noise that makes actions random, for outputs of that shape: see :meth:`draw`."""
         noise = torch.empty(shape, device=random.device)
         if self.continuous:
@@ -127,6 +132,10 @@ class ActorCritic(nn.Module):
         # Gumbel's trick: the largest of logits with such noise has the probabilities of the logits.
         actions = most(outputs + noise, self.policy.heads)
         return actions, actions
+
+    def log_probs(self, outputs: Tensor, actions: Tensor) -> Tensor:
+        """Return the logarithms of actions' probabilities."""
+        return self.evaluate(outputs, actions)[0]
 
     def evaluate(self, outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         """Return the logarithms of actions' probabilities, and the mean entropy of the policy."""

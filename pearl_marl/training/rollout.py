@@ -17,7 +17,7 @@ from torch import Tensor
 from pearl_marl.devices import Device
 from pearl_marl.policies.network import MASKED
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.actor_critic import ActorCritic, Inputs
+from pearl_marl.training.actor_critic import Inputs
 from pearl_marl.training.agents import Agents, team_rewards
 
 CRITIC_ROWS = 16_384
@@ -53,9 +53,11 @@ class RolloutBuffer(NamedTuple):
 
 
 class RolloutWorker:
-    """Gathers with the agents of some blocks, by default all: see ``ppo.PPOSettings``.
+    """Gathers with the agents of some blocks, by default all: see ``settings.BlockSettings``.
 
-    The weights of the model, by which they act, may change between rollouts.
+    The weights of the model, by which they act, may change between rollouts. It is an
+    :class:`~pearl_marl.training.actor_critic.ActorCritic` or
+    :class:`~pearl_marl.training.action_values.ActionValues`.
     """
 
     def __init__(
@@ -63,7 +65,7 @@ class RolloutWorker:
         spec: EnvSpec,
         device: str | Device,
         settings: Any,
-        model: ActorCritic,
+        model: Any,
         blocks: range | None = None,
     ) -> None:
         self.spec, self.settings, self.model = spec, settings, model
@@ -99,7 +101,7 @@ class RolloutWorker:
             actions.append(chosen)
             _, rewards[t], terminations[t], truncations[t], final_obs[t] = agents.step(taken)
         chosen = torch.stack(actions)
-        log_probs, _ = model.evaluate(torch.stack(outputs), chosen)
+        log_probs = model.log_probs(torch.stack(outputs), chosen)
         ended = over = terminations | truncations
         wanted = team_rewards(rewards, self.spec.agents, settings.rewards) * settings.reward_scale
         if settings.rewards != "own":  # what the others still earn counts until the whole world ends
@@ -115,7 +117,8 @@ class RolloutWorker:
         cut &= ~unknown
         unknown |= self.excluded() & decides[:-1]
         if cut.any():
-            final = inputs.pick(slice(0, -1))._replace(obs=final_obs)
+            # Nor does it tell the masks: all actions are allowed.
+            final = inputs.pick(slice(0, -1))._replace(obs=final_obs, masks=None)
             wanted += settings.discount * self._values(final, cut)
         trajectories = Trajectories(wanted, values, over, decides, unknown)
         advantages, mask = estimated_advantages(trajectories, settings.discount, settings.gae_lambda)
@@ -150,7 +153,8 @@ class RolloutWorker:
         noise = torch.empty(size, device=self.where)
         for number, block in zip(self.numbers, self.blocks, strict=True):
             random = torch.Generator(self.where).manual_seed(seed_of(settings.seed, rollout, number))
-            noise[:, block] = self.model.noise((size[0], block.stop - block.start, size[2]), random)
+            shape = (size[0], block.stop - block.start, size[2])
+            noise[:, block] = self.model.noise(shape, random, rollout / settings.iterations)
         return noise
 
     def _values(self, inputs: Inputs, wanted: Tensor) -> Tensor:

@@ -20,7 +20,6 @@ from pearl_marl.devices.ray import Packed, pack, unpacked
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.policies.network import Array
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.actor_critic import ActorCritic
 from pearl_marl.training.rollout import RolloutBuffer, RolloutWorker, block_edges
 
 RESOURCES: dict[str, dict[str, float]] = {"cuda": {"GPU": 1}, "xdma": {"fpga": 1}, "serial": {"fpga": 1}}
@@ -36,8 +35,8 @@ class Worker:
     def begin(self, packed: Packed) -> SavedState:
         """Make the agents; return their state. In the parcel are arguments of :class:`RolloutWorker`."""
         torch.set_num_threads(1)
-        spec, device, settings, blocks = unpacked(packed)
-        self.model = ActorCritic(spec, settings.width, settings.sharing)
+        spec, device, settings, blocks, model = unpacked(packed)
+        self.model = model.of(spec, settings)
         self.worker = RolloutWorker(spec, device, settings, self.model, blocks)
         self.model.to(self.worker.where)
         return self.worker.agents.state()
@@ -68,7 +67,7 @@ class RayWorkers:
         There is no Ray, or no machine for a worker.
     """
 
-    def __init__(self, spec: EnvSpec, device: str, settings: Any, model: ActorCritic, shards: int) -> None:
+    def __init__(self, spec: EnvSpec, device: str, settings: Any, model: Any, shards: int) -> None:
         if shards < 1:
             raise ArgumentError(f"--shards is {shards}; it must be at least 1, or left out for this process")
         if shards > settings.blocks:
@@ -92,7 +91,7 @@ class RayWorkers:
 
     def _start(self, i: int) -> tuple[Any, SavedState]:
         """Return an actor for a shard, and its agents' first state."""
-        sent = pack(self.spec, self.device, self.settings, self._blocks[i])
+        sent = pack(self.spec, self.device, self.settings, self._blocks[i], type(self.model))
         for attempt in itertools.count(1):
             try:
                 actor = cluster.start_actor(Worker, resources=self._resources)
