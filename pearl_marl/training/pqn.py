@@ -30,8 +30,8 @@ class PQNSettings(BlockSettings):
     rollout_length: int = count(32)  # steps of each between updates
     iterations: int = count(60)  # updates in all
     epochs: int = count(2)  # how often an update goes through its experience
-    minibatch: int = count(4096)  # steps of single agents to learn from at a time
-    learning_rate: float = number(1e-3, most=1, above=True)  # of Adam, at first; falls to 0 evenly
+    minibatch: int = count(1024)  # steps of single agents to learn from at a time
+    learning_rate: float = number(3e-3, most=1, above=True)  # of Adam, at first; falls to 0 evenly
     discount: float = number(0.99, most=1)  # gamma
     q_lambda: float = number(0.65, most=1)  # of the returns
     epsilon: float = number(1.0, most=1)  # share of random actions at first

@@ -57,6 +57,14 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "learning_rate": 1e-2,
         "width": 32,
     },
+    ("pqn", "CartPole"): {
+        "n_agents": 512,
+        "epochs": 1,
+        "minibatch": 512,
+        "learning_rate": 1e-2,
+        "q_lambda": 0.9,
+        "width": 32,
+    },
     ("ppo", "MountainCar"): {
         # The goal is far: its value has to travel back through some 200 steps.
         "n_agents": 2048,

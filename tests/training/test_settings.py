@@ -45,6 +45,12 @@ SET = {
         "blocks=0": "an integer from 1 to",
         "blocks=2000": "1 to 512",
     },
+    "pqn": {
+        "rollout_length=0": "an integer from 1 to",
+        "q_lambda=1.5": "a number from 0 to 1",
+        "exploration_fraction=0": "a number above 0 to 1",
+        "blocks=2000": "1 to 512",
+    },
     "dqn": {
         "memory=0": "an integer from 1 to",
         "updates=0": "an integer from 1 to",
