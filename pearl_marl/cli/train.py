@@ -18,6 +18,9 @@ from pearl_marl.cli.interrupts import interrupts
 from pearl_marl.errors import ArgumentError
 
 ALGORITHMS = ("ppo", "pqn", "dqn", "q-learning", "ippo", "mappo", "iql", "self-play")
+REMEMBERING = ("ppo", "ippo", "mappo", "pqn")
+"""Those that learn policies with memory."""
+
 Algorithm = Annotated[
     str,
     typer.Option(
@@ -32,6 +35,14 @@ Agents = Annotated[
 ]
 Iterations = Annotated[
     int | None, typer.Option("--iterations", help="Number of updates.", show_default="preset")
+]
+Memory = Annotated[
+    str | None,
+    typer.Option(
+        "--memory",
+        help="Memory of the policy: `none` or `gru`; `ppo`, `mappo` and `pqn`.",
+        show_default="none",
+    ),
 ]
 Given = Annotated[
     list[str] | None,
@@ -81,6 +92,7 @@ def command(
     algo: Algorithm = "ppo",
     n_agents: Agents = None,
     iterations: Iterations = None,
+    memory: Memory = None,
     setting: Given = None,
     seed: common.Seed = 0,
     device: common.DeviceName = "native",
@@ -109,7 +121,15 @@ def command(
         raise ArgumentError(
             f"training needs the Python package {error.name}: pip install '.[train]'"
         ) from None
-    chosen = {"n_agents": n_agents, "iterations": iterations}
+    if memory is not None:
+        if memory not in (possible := training.SETTINGS["ppo"].range("memory")):
+            raise ArgumentError(f"--memory is {memory!r}; it must be {possible}")
+        if algo not in REMEMBERING:
+            raise ArgumentError(
+                f"{algo} learns no policies with memory: leave --memory out, or use one of "
+                f"{', '.join(REMEMBERING)}"
+            )
+    chosen = {"n_agents": n_agents, "iterations": iterations, "memory": memory}
     # --seed always has a value, which must not overrule --set seed=N.
     changes = {"seed": seed, **common.env_options(setting, "--set")}
     changes |= {name: n for name, n in chosen.items() if n is not None}

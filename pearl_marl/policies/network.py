@@ -16,6 +16,7 @@ from torch.nn.functional import layer_norm
 from pearl_marl.compiler.packing import unpacked
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies import dense
+from pearl_marl.policies.memory import Memory, Recall
 from pearl_marl.spec import EnvSpec
 from pearl_marl.spec.elements import are_numbers, bounds
 
@@ -166,7 +167,8 @@ class Network(nn.Module):
 
     With ``positions``, the first layer is also told which of so many agents of a world it is for. With
     ``layer_norm``, what each of the two layers makes is standardised, row by row (Ba et al., 2016,
-    arXiv:1607.06450), without weights of its own.
+    arXiv:1607.06450), without weights of its own. With ``memory``, what the first layer makes goes through
+    :class:`~pearl_marl.policies.memory.Memory`.
     """
 
     def __init__(
@@ -178,6 +180,7 @@ class Network(nn.Module):
         positions: int = 0,
         packs: EnvSpec | None = None,
         layer_norm: bool = False,
+        memory: bool = False,
     ) -> None:
         super().__init__()
         self.encoder, self.layer_norm = Encoder(space, width, packs), layer_norm
@@ -187,6 +190,7 @@ class Network(nn.Module):
         nn.init.zeros_(self.hidden.bias)
         nn.init.zeros_(self.output.bias)
         self.indicator = nn.Embedding(positions, width) if positions else None
+        self.memory = Memory(width) if memory else None
 
     def see(self, obs: Tensor, _: Tensor | None = None) -> None:
         """Take a batch of observations into the statistics by which they are standardised."""
@@ -194,11 +198,21 @@ class Network(nn.Module):
 
     def features(self, obs: Tensor, position: Tensor | None = None) -> Tensor:
         """Return the inputs of the output layer, shape ``(batch, width)``."""
+        features: Tensor = self._bent(self.hidden(self._first(obs, position)))
+        return features
+
+    def unrolled(self, obs: Tensor, position: Tensor | None, recall: Recall) -> tuple[Tensor, Tensor]:
+        """Return the same with a memory, of some steps of some agents; and the memories after each step."""
+        assert self.memory is not None
+        memories = self.memory(self._first(obs, position), recall)
+        return self._bent(self.hidden(memories.flatten(0, 1))), memories
+
+    def _first(self, obs: Tensor, position: Tensor | None) -> Tensor:
+        """Return what the first layer makes."""
         first = self.encoder(obs)
         if self.indicator is not None:
             first = first + self.indicator(position)
-        features: Tensor = self._bent(self.hidden(self._bent(first)))
-        return features
+        return self._bent(first)
 
     def _bent(self, made: Tensor) -> Tensor:
         """Return what a layer made, standardised or not, through the nonlinearity."""
@@ -256,8 +270,8 @@ class Network(nn.Module):
 
 
 def is_dense(network: nn.Module) -> bool:
-    """Return whether compiled loops can do all of it: no picture, no separate networks, no GPU."""
-    if not isinstance(network, Network):
+    """Return whether compiled loops can do all of it: no picture, memory, separate networks or GPU."""
+    if not isinstance(network, Network) or network.memory is not None:
         return False
     return network.encoder.kind != "picture" and not network.output.weight.is_cuda
 
@@ -284,9 +298,15 @@ def networks(
     scale: float = 1.0,
     sharing: str = "all",
     layer_norm: bool = False,
+    memory: bool = False,
 ) -> Network | SeparateNetworks:
     """Return networks for a world's agents, with so many outputs; ``sharing`` is of :data:`SHARING`."""
-    made = partial(Network, spec.observation_space, outputs, width, scale, packs=spec, layer_norm=layer_norm)
+    kinds = {"packs": spec, "layer_norm": layer_norm, "memory": memory}
+    made = partial(Network, spec.observation_space, outputs, width, scale, **kinds)
     if sharing == "none":
+        if memory:
+            raise ArgumentError(
+                "agents with memory share a network: take sharing all or indicator, or the memory none"
+            )
         return SeparateNetworks(made() for _ in range(spec.agents))
     return made(positions=spec.agents if sharing == "indicator" else 0)

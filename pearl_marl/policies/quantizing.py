@@ -73,6 +73,8 @@ def quantized(
             "the policy has a network of its own for each agent of a world, and only shared ones become "
             "integers: train it with sharing all or indicator"
         )
+    if network.memory is not None:
+        raise ArgumentError("the policy has a memory, for which integers have no layer: train it without")
     if network.layer_norm:
         raise ArgumentError(
             "the policy's layers are standardised, for which integers have no layer: train it by ppo or dqn"

@@ -40,7 +40,9 @@ class ActionValues(nn.Module):
             settings.sharing,
             epsilon=settings.evaluation_epsilon,
             layer_norm=True,
+            memory=settings.memory,
         )
+        self.memory_size = settings.width
 
     @classmethod
     def of(cls, spec: EnvSpec, settings: Any) -> Self:
@@ -59,6 +61,17 @@ class ActionValues(nn.Module):
     def values(self, inputs: Inputs) -> Tensor:
         """Return the values of the best actions, shape ``(batch,)``."""
         return self.outputs(inputs).amax(-1)
+
+    def forward(self, inputs: Inputs) -> tuple[Tensor, Tensor]:
+        """Return the action values, and those of the best actions."""
+        outputs = self.outputs(inputs)
+        return outputs, outputs.amax(-1)
+
+    def unrolled(self, inputs: Inputs) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the same for steps of agents that remember, and the memories after each step."""
+        flat, recall = inputs.recall()
+        outputs, memories = self.policy.unrolled(flat.obs, flat.masks, flat.position, recall)
+        return outputs, outputs.amax(-1), memories
 
     def noise(self, shape: tuple[int, ...], random: torch.Generator, progress: float) -> Tensor:
         """Return the noise that makes actions random, for outputs of that shape: see :meth:`draw`."""

@@ -14,6 +14,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from pearl_marl.policies.memory import MEMORY
 from pearl_marl.policies.network import SHARING
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.actor_critic import ActorCritic
@@ -44,6 +45,8 @@ class PPOSettings(BlockSettings):
     rewards: str = choice(*TEAM)  # an agent's own, or the mean or sum of its world's
     # Of the policy where it is used; 0 takes the most probable actions.
     temperature: float = number(0.0, formerly="chance")
+    memory: str = choice(*MEMORY)  # of policies
+    chunk_length: int = count(16)  # steps that gradients go back through, with a memory
     blocks: int = count(1, most=MAX_SLOTS)  # see BlockSettings
     seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
@@ -72,16 +75,16 @@ class PPO(OnPolicyTrainer):
 
         Return the policy's loss, the critic's, the entropy, and the share of ratios that were clipped.
         """
-        clip, n = self.settings.clip, len(minibatch)
-        outputs, values = self.model(samples.inputs.pick(minibatch))
-        log_probs, entropy = self.model.evaluate(outputs, samples.actions[minibatch])
-        ratio = (log_probs - samples.log_probs[minibatch]).exp()
-        advantages = samples.advantages[minibatch]
-        if n > 1:  # a single one has no deviation
+        clip = self.settings.clip
+        outputs, values, batch = self.forward(samples, minibatch)
+        log_probs, entropy = self.model.evaluate(outputs, batch.actions)
+        ratio = (log_probs - batch.log_probs).exp()
+        advantages = batch.advantages
+        if len(advantages) > 1:  # a single one has no deviation
             deviation, mean = torch.std_mean(advantages)
             advantages = (advantages - mean) / (deviation + 1e-8)
         policy_loss = -torch.min(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages).mean()
-        value_loss = (values - samples.returns[minibatch]).square().mean()
+        value_loss = (values - batch.returns).square().mean()
         loss = policy_loss + 0.5 * value_loss - self.settings.entropy * entropy
         self.optimiser.zero_grad()
         loss.backward()

@@ -12,6 +12,7 @@ from functools import partial
 
 from torch import Tensor
 
+from pearl_marl.policies.memory import MEMORY
 from pearl_marl.policies.network import SHARING, is_dense
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.action_values import ActionValues, explored
@@ -43,6 +44,8 @@ class PQNSettings(BlockSettings):
     rewards: str = choice(*TEAM)  # an agent's own, or the mean or sum of its world's
     # Share of random actions where the trained policy is used.
     evaluation_epsilon: float = number(0.0, most=1)
+    memory: str = choice(*MEMORY)  # of policies
+    chunk_length: int = count(16)  # steps that gradients go back through, with a memory
     blocks: int = count(1, most=MAX_SLOTS)  # see BlockSettings
     seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
@@ -70,9 +73,9 @@ class PQN(OnPolicyTrainer):
 
     def autograd(self, samples: RolloutBuffer, minibatch: Tensor) -> Tensor:
         """Leave the gradients of a minibatch's loss with the parameters; return the loss."""
-        values = self.model.outputs(samples.inputs.pick(minibatch)._replace(masks=None))
-        chosen = values.gather(1, samples.actions[minibatch][:, None])[:, 0]
-        loss = 0.5 * (chosen - samples.returns[minibatch]).square().mean()
+        outputs, _, batch = self.forward(samples, minibatch)
+        chosen = outputs.gather(1, batch.actions[:, None])[:, 0]
+        loss = 0.5 * (chosen - batch.returns).square().mean()
         self.optimiser.zero_grad()
         loss.backward()
         return loss.detach()[None]

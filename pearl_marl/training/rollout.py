@@ -7,7 +7,7 @@ are divided among workers, the rollout is the same.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -38,8 +38,15 @@ class RolloutBuffer(NamedTuple):
 
     def flat(self) -> RolloutBuffer:
         """Return steps and agents as one axis."""
-        inputs, *others = self
-        return RolloutBuffer(inputs.flat(), *(tensor.flatten(0, 1) for tensor in others))
+        return self.map(lambda tensor: tensor.flatten(0, 1))
+
+    def pick(self, rows: Any) -> RolloutBuffer:
+        """Return some rows."""
+        return self.map(lambda tensor: tensor[rows])
+
+    def map(self, function: Callable[[Tensor], Tensor]) -> RolloutBuffer:
+        """Return what a function makes of every tensor."""
+        return RolloutBuffer.of([None if tensor is None else function(tensor) for tensor in self.tensors()])
 
     def tensors(self) -> list[Tensor | None]:
         """Return all tensors, with None for inputs that the environment does not have."""
@@ -109,7 +116,7 @@ class RolloutWorker:
             worlds = left.reshape(steps, -1, self.spec.agents).all(2)
             over = worlds.repeat_interleave(self.spec.agents, 1)
         decides = torch.stack(acting)
-        values = self._values(inputs, decides)
+        values = self.expected(inputs, decides)
         cut = truncations & ~terminations
         # Only the time limit ended these episodes: what was to come counts. The device tells neither the
         # state that a central critic would be given then, nor the agent that would have been on turn.
@@ -119,7 +126,7 @@ class RolloutWorker:
         if cut.any():
             # Nor does it tell the masks: all actions are allowed.
             final = inputs.pick(slice(0, -1))._replace(obs=final_obs, masks=None)
-            wanted += settings.discount * self._values(final, cut)
+            wanted += settings.discount * self.expected_at_ends(final, cut)
         trajectories = Trajectories(wanted, values, over, decides, unknown)
         advantages, mask = estimated_advantages(trajectories, settings.discount, settings.gae_lambda)
         inputs = inputs.pick(slice(0, -1))
@@ -156,6 +163,14 @@ class RolloutWorker:
             shape = (size[0], block.stop - block.start, size[2])
             noise[:, block] = self.model.noise(shape, random, rollout / settings.iterations)
         return noise
+
+    def expected(self, inputs: Inputs, decides: Tensor) -> Tensor:
+        """Return what the critic expects where agents decide; a row more than the rollout has steps."""
+        return self._values(inputs, decides)
+
+    def expected_at_ends(self, inputs: Inputs, cut: Tensor) -> Tensor:
+        """Return what the critic expects of where time limits cut episodes off."""
+        return self._values(inputs, cut)
 
     def _values(self, inputs: Inputs, wanted: Tensor) -> Tensor:
         """Return what the critic expects where it is wanted, else 0; a row a step and a column an agent."""

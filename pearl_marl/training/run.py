@@ -332,11 +332,11 @@ def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> tuple[float, 
     """
     policy.seed(seed)
     if spec.turns:
-        match = Match(spec, policy.choose, random_policy(spec, seed), n, openings=0, seed=seed)
+        match = Match(spec, policy.function, random_policy(spec, seed), n, openings=0, seed=seed)
         evaluation: Evaluation = match
         counted = match.seats
     else:
-        evaluation, counted = Evaluation(spec, policy.choose, n, seed=seed), np.ones(n, np.bool_)
+        evaluation, counted = Evaluation(spec, policy.function, n, seed=seed), np.ones(n, np.bool_)
     for _ in evaluation.run():
         pass
     returns = evaluation.returns[counted]

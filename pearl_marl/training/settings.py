@@ -99,10 +99,18 @@ class BlockSettings(TrainerSettings):
     """
 
     n_agents: int
+    rollout_length: int
     blocks: int
+    memory: str
+    chunk_length: int
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.memory != "none" and self.rollout_length % self.chunk_length:
+            raise ArgumentError(
+                f"setting 'chunk_length' is {self.chunk_length}; with a memory it must divide "
+                f"rollout_length, {self.rollout_length}"
+            )
         if self.blocks > self.n_agents:
             raise ArgumentError(
                 f"setting 'blocks' is {self.blocks}; it must be 1 to {self.n_agents}, the number of agents"

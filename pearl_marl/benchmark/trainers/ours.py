@@ -25,5 +25,5 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     watch.start()
     while trainer.done < settings.iterations:
         trainer.iterate()
-        if watch(trainer.agent_steps, trainer.policy.choose):
+        if watch(trainer.agent_steps, trainer.policy.function):
             return
