@@ -74,6 +74,14 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "discount": 0.99,
         "gae_lambda": 0.98,
     },
+    ("pqn", "MountainCar"): {
+        "n_agents": 2048,
+        "rollout_length": 16,
+        "iterations": 150,
+        "epochs": 4,
+        "learning_rate": 2e-3,
+        "q_lambda": 0.95,
+    },
     ("ppo", "Pendulum"): {
         "n_agents": 512,
         "iterations": 120,

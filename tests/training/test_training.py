@@ -231,13 +231,8 @@ def test_ppo_balances_the_pole(tmp_path: Path) -> None:
 @pytest.mark.parametrize("env", ["CartPole", "Taxi", "Blackjack", "Pendulum"])
 @pytest.mark.parametrize("algorithm", SMALL)
 def test_every_kind_of_space_is_trained_or_refused(algorithm: str, env: str, tmp_path: Path) -> None:
-    impossible = {
-        ("pqn", "Pendulum"),
-        ("dqn", "Pendulum"),
-        ("q-learning", "Pendulum"),
-        ("q-learning", "CartPole"),
-    }
-    if (algorithm, env) in impossible:
+    of_numbers = algorithm in ("pqn", "dqn", "q-learning") and env == "Pendulum"
+    if of_numbers or (algorithm, env) == ("q-learning", "CartPole"):
         with pytest.raises(ArgumentError, match=env):
             run(algorithm, env, tmp_path, **SMALL[algorithm])
         assert not any(tmp_path.iterdir())
@@ -274,11 +269,16 @@ with run.claimed():
 """
 
 
-@pytest.mark.parametrize(
-    "algorithm", sampled([*dict.fromkeys((*SMALL, *OF_WORLDS))], ("ppo", "dqn", "self-play"))
-)
-def test_a_killed_run_goes_on_as_if_nothing_had_been(algorithm: str, tmp_path: Path) -> None:
-    env, given = OF_WORLDS[algorithm] if algorithm in OF_WORLDS else ("FrozenLake", SMALL[algorithm])
+KILLED: dict[str, tuple[str, str, dict[str, Any]]] = {
+    **{algorithm: (algorithm, "FrozenLake", given) for algorithm, given in SMALL.items()},
+    **{algorithm: (algorithm, *case) for algorithm, case in OF_WORLDS.items()},
+    "memory": ("ppo", "FrozenLake", {**SMALL["ppo"], "memory": "gru", "chunk_length": 4}),
+}
+
+
+@pytest.mark.parametrize("name", sampled([*KILLED], ("ppo", "dqn", "self-play")))
+def test_a_killed_run_goes_on_as_if_nothing_had_been(name: str, tmp_path: Path) -> None:
+    algorithm, env, given = KILLED[name]
     whole = run(algorithm, env, tmp_path / "whole", **given)
     killed = tmp_path / "killed"
     command = [sys.executable, "-c", ENDLESS, algorithm, env, str(killed), repr(given)]
