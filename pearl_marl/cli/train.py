@@ -69,6 +69,14 @@ Shards = Annotated[
         show_default="this process",
     ),
 ]
+Seeds = Annotated[
+    int | None,
+    typer.Option(
+        "--seeds",
+        help="Train so many seeds at once, from --seed on, each in a folder of its own.",
+        show_default="one",
+    ),
+]
 Quantize = Annotated[
     bool,
     typer.Option(
@@ -99,6 +107,7 @@ def command(
     goal: Goal = None,
     evaluate_every: Every = None,
     shards: Shards = None,
+    seeds: Seeds = None,
     quantize: Quantize = False,
     option: common.Options = None,
     out: Folder = None,
@@ -117,6 +126,7 @@ def command(
     try:
         with interrupts.at_once():  # PyTorch takes seconds to load
             from pearl_marl.training import run as training
+            from pearl_marl.training.population import Population
     except ModuleNotFoundError as error:
         raise ArgumentError(
             f"training needs the Python package {error.name}: pip install '.[train]'"
@@ -138,37 +148,20 @@ def command(
         settings = training.settings_for(algo, env_id, changes, shards, spec.agents)
     for warning in renamed:
         error_console.print(f"pearl: {warning.message}", markup=False, soft_wrap=True)
-    if quantize and getattr(settings, "sharing", "all") == "none":
-        raise ArgumentError(
-            "--quantize takes a policy that agents share; with sharing=none each has a network of its own"
-        )
-
+    if quantize:
+        _check_quantizable(algo, settings)
     plan = training.Training(env_id, algo, settings, dict(spec.options), device, goal, evaluate_every)
+    if seeds is not None:
+        if shards is not None or quantize:
+            raise ArgumentError(
+                "--seeds trains in this process, for the spread: leave --shards and --quantize out"
+            )
+        population = Population(plan, out, seeds)
+        _train(population, f"{env_id}, {algo}, {seeds} seeds", settings.iterations)
+        _tell_spread(population, env_id, algo, as_json)
+        return
     run = training.TrainingRun(plan, out, shards)
-    columns = (
-        TextColumn(f"{env_id}, {algo}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
-    )
-    # An iteration that has begun is done to its end: a run cannot go on from half of one.
-    keeping = "keeping the run after this iteration; Ctrl-C again ends it now"
-    with (
-        Progress(
-            *columns, console=error_console, transient=True, disable=not error_console.is_terminal
-        ) as bar,
-        run.claimed(),
-    ):
-        task = bar.add_task("train", total=settings.iterations, note="")
-        while not run.finished:
-            with interrupts.later(keeping):
-                row = run.iterate()
-            if row is not None:
-                bar.update(task, completed=run.trainer.done, note=_note(row))
-            if interrupts.noted and not run.finished:
-                run.keep()
-                raise KeyboardInterrupt
+    _train(run, f"{env_id}, {algo}", settings.iterations)
     rows = run.rows
     best = max(rows, key=lambda row: row["eval_return"])
     result: dict[str, Any] = {"environment": env_id, "algorithm": algo, "folder": str(out)}
@@ -184,6 +177,65 @@ def command(
     )
     if quantize:
         integers.show(integers.quantize_run(out))
+
+
+def _check_quantizable(algorithm: str, settings: Any) -> None:
+    """Refuse trainings of policies that do not become integers, before they begin."""
+    if getattr(settings, "sharing", "all") == "none":
+        raise ArgumentError(
+            "--quantize takes a policy that agents share; with sharing=none each has a network of its own"
+        )
+    if algorithm == "pqn" or getattr(settings, "memory", "none") == "gru":
+        raise ArgumentError(
+            "--quantize takes a policy without layer norm or memory: train it by ppo or dqn, without --memory"
+        )
+
+
+def _train(run: Any, title: str, iterations: int) -> None:
+    """Train a run, or several, to the end, or until Ctrl-C."""
+    columns = (
+        TextColumn(title, markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+    )
+    # An iteration that has begun is done to its end: a run cannot go on from half of one.
+    keeping = "keeping the run after this iteration; Ctrl-C again ends it now"
+    with (
+        Progress(
+            *columns, console=error_console, transient=True, disable=not error_console.is_terminal
+        ) as bar,
+        run.claimed(),
+    ):
+        task = bar.add_task("train", total=iterations, note="")
+        while not run.finished:
+            with interrupts.later(keeping):
+                row = run.iterate()
+            if row is not None:
+                bar.update(task, completed=run.done, note=_note(row))
+            if interrupts.noted and not run.finished:
+                run.keep()
+                raise KeyboardInterrupt
+
+
+def _tell_spread(population: Any, env_id: str, algorithm: str, as_json: bool) -> None:
+    """Print how the seeds did."""
+    goal, reached = population.training.goal, population.reached
+    last = population.spread()[-1]
+    if as_json:
+        result = {"environment": env_id, "algorithm": algorithm, "folder": str(population.folder)}
+        runs = [
+            {"seed": run.trainer.settings.seed, "best": run.best, "last": run.rows[-1]}
+            for run in population.runs
+        ]
+        common.print_json({**result, "goal": goal, "reached": reached, "spread": last, "runs": runs})
+        return
+    at_goal = "" if goal is None else f" {reached} of {len(population.runs)} seeds reached {goal:g}."
+    common.say(
+        f"Mean returns {last['least']:.2f} to {last['greatest']:.2f}, median {last['median']:.2f}.{at_goal} Wrote "
+        f"{population.folder}: seed-*, spread.csv, learning_curves.png"
+    )
 
 
 def _note(row: dict[str, Any]) -> str:

@@ -210,6 +210,11 @@ class TrainingRun:
         return self.folder.rows
 
     @property
+    def done(self) -> int:
+        """Iterations so far."""
+        return int(self.trainer.done)
+
+    @property
     def finished(self) -> bool:
         """Whether all iterations are done, or the goal is reached."""
         reached = self.goal is not None and self.best >= self.goal
