@@ -233,8 +233,8 @@ def _tell_spread(population: Any, env_id: str, algorithm: str, as_json: bool) ->
         return
     at_goal = "" if goal is None else f" {reached} of {len(population.runs)} seeds reached {goal:g}."
     common.say(
-        f"Mean returns {last['least']:.2f} to {last['greatest']:.2f}, median {last['median']:.2f}.{at_goal} Wrote "
-        f"{population.folder}: seed-*, spread.csv, learning_curves.png"
+        f"Mean returns {last['least']:.2f} to {last['greatest']:.2f}, median {last['median']:.2f}.{at_goal} "
+        f"Wrote {population.folder}: seed-*, spread.csv, learning_curves.png"
     )
 
 

@@ -27,7 +27,7 @@ MOST = 1000
 
 
 class Population:
-    """Runs of one training that differ in their seeds alone, each in a folder of its own, ``seed-0`` and so on.
+    """Runs of one training that differ in their seeds alone, each in a folder of its own: ``seed-0``, ...
 
     It has the methods of a :class:`~pearl_marl.training.run.TrainingRun`. Threads take the runs of an
     iteration; whichever does, a run's result is that of a process of its own with one thread of PyTorch.
