@@ -16,17 +16,19 @@ from pearl_marl.cli import quantize as integers
 from pearl_marl.cli.common import error_console
 from pearl_marl.cli.interrupts import interrupts
 from pearl_marl.errors import ArgumentError
+from pearl_marl.training.presets import BEST
 
 ALGORITHMS = ("ppo", "pqn", "dqn", "q-learning", "ippo", "mappo", "iql", "self-play")
 REMEMBERING = ("ppo", "ippo", "mappo", "pqn")
 """Those that learn policies with memory."""
 
 Algorithm = Annotated[
-    str,
+    str | None,
     typer.Option(
         "--algo",
         help="`ppo`, `pqn`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `self-play`.",
         autocompletion=common.completed(lambda: ALGORITHMS),
+        show_default="the environment's: `pqn` of MountainCar, else `ppo`",
     ),
 ]
 Agents = Annotated[
@@ -97,7 +99,7 @@ Folder = Annotated[
 
 def command(
     env_id: common.EnvName,
-    algo: Algorithm = "ppo",
+    algo: Algorithm = None,
     n_agents: Agents = None,
     iterations: Iterations = None,
     memory: Memory = None,
@@ -114,13 +116,14 @@ def command(
     as_json: common.AsJson = False,
 ) -> None:
     """Train a policy that all agents share; with the --out of a run that was killed, resume it."""
+    spec = common.spec_of(env_id, option)
+    algo = algo or BEST.get(spec.name, "ppo")
     if algo not in ALGORITHMS:
         near = difflib.get_close_matches(algo, ALGORITHMS, 1)
         hint = f"did you mean {near[0]!r}?" if near else f"possible are {', '.join(map(repr, ALGORITHMS))}"
         raise ArgumentError(f"--algo is {algo!r}; {hint}")
     if goal is not None:
         checked_number("--goal", goal)
-    spec = common.spec_of(env_id, option)
     out = out or Path("out") / f"{spec.name}-{algo}"
     interrupts.advice = f": to go on, give the same command again, with the same --out {out}"
     try:

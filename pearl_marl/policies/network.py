@@ -244,7 +244,8 @@ class Network(nn.Module):
         )
         if instead is not None:
             tensors = tuple(instead.get(tensor, tensor) for tensor in tensors)
-        return dense.Layers(*(tensor.detach().numpy() for tensor in tensors), self.layer_norm)
+        arrays = (tensor.detach().numpy() for tensor in tensors)
+        return dense.Layers._make((*arrays, self.layer_norm))
 
     def observed(self, obs: Tensor, position: Tensor | None) -> dense.Observed:
         """Return observations as compiled loops take them."""
@@ -301,7 +302,7 @@ def networks(
     memory: bool = False,
 ) -> Network | SeparateNetworks:
     """Return networks for a world's agents, with so many outputs; ``sharing`` is of :data:`SHARING`."""
-    kinds = {"packs": spec, "layer_norm": layer_norm, "memory": memory}
+    kinds: dict[str, Any] = {"packs": spec, "layer_norm": layer_norm, "memory": memory}
     made = partial(Network, spec.observation_space, outputs, width, scale, **kinds)
     if sharing == "none":
         if memory:

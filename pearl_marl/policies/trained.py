@@ -344,11 +344,16 @@ def _described(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPoli
         raise ArgumentError(f"its policy has the layer_norm {brief(layer_norm)}; possible are true, false")
     if (memory := about.get("memory", "none")) not in MEMORY:
         raise ArgumentError(f"its policy has the memory {brief(memory)}; possible are {', '.join(MEMORY)}")
-    make = partial(NetworkPolicy, spec, about["kind"], width, sharing, layer_norm=layer_norm, memory=memory)
+    make: Any = partial(
+        NetworkPolicy, spec, about["kind"], width, sharing, layer_norm=layer_norm, memory=memory
+    )
     name = {"logits": "temperature", "values": "epsilon"}.get(about["kind"])
+    policy: NetworkPolicy
     if name is None:
-        return make()
+        policy = make()
+        return policy
     randomness = about.get(name, about.get("chance", 0.0))  # older files have "chance" for both
     if not is_number(randomness) or randomness < 0:
         raise ArgumentError(f"its policy has the {name} {brief(randomness)}; it must be a number from 0")
-    return make(**{name: float(randomness)})
+    policy = make(**{name: float(randomness)})
+    return policy

@@ -77,7 +77,7 @@ class PQN(OnPolicyTrainer):
         chosen = outputs.gather(1, batch.actions[:, None])[:, 0]
         loss = 0.5 * (chosen - batch.returns).square().mean()
         self.optimiser.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         return loss.detach()[None]
 
     def figures(self) -> dict[str, float | None]:

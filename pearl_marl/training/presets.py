@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+BEST: dict[str, str] = {"MountainCar": "pqn"}
+"""Algorithms that learn an environment sooner than PPO, with every seed; others are learned by PPO."""
+
 # Two agents that want to be in the same cell need to know which gives way, or act at random.
 FORAGING: dict[str, Any] = {
     "n_agents": 512,

@@ -144,10 +144,12 @@ class RolloutWorker:
 
     def decide(self, inputs: Inputs, _: int) -> Tensor:
         """Return the policy's outputs for the rollout's step of that number."""
+        outputs: Tensor
         if not self.spec.turns:
-            if len(self.blocks) == 1:
-                return self.model.outputs(inputs)
-            return torch.cat([self.model.outputs(inputs.pick(block)) for block in self.blocks])
+            if len(self.blocks) > 1:
+                return torch.cat([self.model.outputs(inputs.pick(block)) for block in self.blocks])
+            outputs = self.model.outputs(inputs)
+            return outputs
         rows = self.agents.acting.nonzero()[:, 0]  # the others are asked nothing
         outputs = torch.full((len(inputs.obs), self.model.policy.outputs), MASKED, device=self.where)
         outputs[rows] = self.model.outputs(inputs.pick(rows))
