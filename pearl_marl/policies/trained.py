@@ -27,6 +27,9 @@ from pearl_marl.spec.elements import are_numbers, bounds
 KINDS = ("logits", "values", "mean")
 """How a network's outputs are meant: see :class:`NetworkPolicy`."""
 
+SECOND_THREAD = 1 << 17
+"""Rows times width from which on a second thread helps: threads that wait for each other take longer."""
+
 _SCALAR = torch.zeros(())
 """Stands for a tensor that a file does not have."""
 
@@ -82,8 +85,14 @@ class Remembering:
         self._policy, self.forget = policy, policy.forget
 
     def __call__(self, obs: Array, masks: Array | None = None) -> Array:
-        """Return an action for each observation."""
-        return self._policy.choose(obs, masks)
+        """Return an action for each observation; of few agents with one thread of PyTorch."""
+        threads = torch.get_num_threads()
+        if len(obs) * self._policy.about["width"] < SECOND_THREAD:
+            torch.set_num_threads(1)
+        try:
+            return self._policy.choose(obs, masks)
+        finally:
+            torch.set_num_threads(threads)
 
 
 class NetworkPolicy(_Trained):
