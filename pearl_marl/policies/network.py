@@ -245,7 +245,7 @@ class Network(nn.Module):
         if instead is not None:
             tensors = tuple(instead.get(tensor, tensor) for tensor in tensors)
         arrays = (tensor.detach().numpy() for tensor in tensors)
-        return dense.Layers._make((*arrays, self.layer_norm))
+        return dense.Layers(*arrays, self.layer_norm)  # type: ignore[call-arg, arg-type]
 
     def observed(self, obs: Tensor, position: Tensor | None) -> dense.Observed:
         """Return observations as compiled loops take them."""

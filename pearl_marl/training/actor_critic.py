@@ -31,11 +31,11 @@ class Inputs(NamedTuple):
 
     def pick(self, rows: Any) -> Inputs:
         """Return some rows."""
-        return Inputs._make(None if tensor is None else tensor[rows] for tensor in self)
+        return Inputs(*(None if tensor is None else tensor[rows] for tensor in self))  # type: ignore[arg-type]
 
     def flat(self) -> Inputs:
         """Return steps and agents as one axis."""
-        return Inputs._make(None if tensor is None else tensor.flatten(0, 1) for tensor in self)
+        return Inputs(*(None if tensor is None else tensor.flatten(0, 1) for tensor in self))  # type: ignore[arg-type]
 
     def recall(self) -> tuple[Inputs, Recall]:
         """Return steps and agents as one axis, and what agents remember in these steps."""

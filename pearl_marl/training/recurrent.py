@@ -79,7 +79,7 @@ class RecurrentWorker(RolloutWorker):
         return outputs, values, after
 
     def _unrolled(self, inputs: Inputs, memory: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        one_step = Inputs._make(None if tensor is None else tensor[None] for tensor in inputs)
+        one_step = Inputs(*(None if tensor is None else tensor[None] for tensor in inputs))  # type: ignore[arg-type]
         outputs, values, (after,) = self.model.unrolled(one_step._replace(memory=memory[None]))
         return outputs, values, after
 
