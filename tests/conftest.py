@@ -33,6 +33,7 @@ from pearl_marl import cli, envs
 from . import sampling
 from .toy import TOYS
 from .toy_fields import FIELDS
+from .toy_memory import POSITIONS
 from .toy_world import WORLDS
 
 if importlib.util.find_spec("hypothesis"):  # which the environments of single libraries have not
@@ -165,7 +166,7 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
 def toys() -> Iterator[None]:
     """Register the toy environments for one test; the list of environments is as before afterwards."""
     with mock.patch.dict(envs._specs):
-        for spec in (*TOYS, *WORLDS, *FIELDS):
+        for spec in (*TOYS, *WORLDS, *FIELDS, POSITIONS):
             pearl_marl.register(spec)
         yield
 

@@ -62,7 +62,7 @@ def _rollout(network: IntegerNetwork, n: int, threads: int) -> Step:
 def _as_trained(run: Path) -> Policy:
     from pearl_marl.policies import trained  # which takes torch
 
-    choose: Policy = trained.load(run).choose
+    choose: Policy = trained.load(run).function
     return choose
 
 

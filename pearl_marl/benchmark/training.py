@@ -31,7 +31,7 @@ class TrainingTask(NamedTuple):
 
     A training ends at the first evaluation that reaches the goal, but not before ``least`` iterations, by
     which the rate is measured; in any case at the end of the preset's iterations, and after ``seconds`` of
-    training. Without a goal it ends after ``least`` iterations. An iteration is an update of PPO, or a
+    training. Without a goal it ends after ``least`` iterations. An iteration is an update of PPO or PQN, or a
     step of DQN with its updates.
     """
 
@@ -59,6 +59,8 @@ TASKS = (
     TrainingTask("PPO FrozenLake", "ppo", "FrozenLake", 0.70, least=10),
     TrainingTask("PPO Seaquest", "ppo", "Seaquest", None, least=4, seconds=20.0),
     TrainingTask("PPO LevelBasedForaging", "ppo", "LevelBasedForaging", None, least=12),
+    TrainingTask("PQN CartPole", "pqn", "CartPole", 475.0, least=20),
+    TrainingTask("PQN MountainCar", "pqn", "MountainCar", -115.0, least=10),
     TrainingTask("DQN CartPole", "dqn", "CartPole", 475.0, least=200, every=20),
 )
 """Seaquest takes minutes to its goal, and EnvPool's foraging has other rules: of these only the rate is
@@ -76,7 +78,7 @@ class TrainerModule(NamedTuple):
 
     name: str
     module: str | None
-    tasks: str  # what the names of its tasks begin with
+    tasks: str | tuple[str, ...]  # what the names of its tasks begin with
     packages: tuple[str, ...]
     envs: tuple[str, ...] | None = None  # that it has; None for all
     problem: str | None = None  # why it cannot be run at all
@@ -102,7 +104,7 @@ class TrainerModule(NamedTuple):
 
 TRAINERS = (
     TrainerModule(OURS, "ours", "", ("torch",)),
-    TrainerModule(SB3, "sb3", "", ("stable_baselines3", "envpool")),
+    TrainerModule(SB3, "sb3", ("PPO", "DQN"), ("stable_baselines3", "envpool")),
     TrainerModule(CLEANRL, "cleanrl", "PPO", ("torch", "envpool")),
     TrainerModule(
         PUREJAXRL,

@@ -16,14 +16,19 @@ from pearl_marl.cli import quantize as integers
 from pearl_marl.cli.common import error_console
 from pearl_marl.cli.interrupts import interrupts
 from pearl_marl.errors import ArgumentError
+from pearl_marl.training.presets import BEST
 
-ALGORITHMS = ("ppo", "dqn", "q-learning", "ippo", "mappo", "iql", "self-play")
+ALGORITHMS = ("ppo", "pqn", "dqn", "q-learning", "ippo", "mappo", "iql", "self-play")
+REMEMBERING = ("ppo", "ippo", "mappo", "pqn")
+"""Those that learn policies with memory."""
+
 Algorithm = Annotated[
-    str,
+    str | None,
     typer.Option(
         "--algo",
-        help="`ppo`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `self-play`.",
+        help="`ppo`, `pqn`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `self-play`.",
         autocompletion=common.completed(lambda: ALGORITHMS),
+        show_default="the environment's: `pqn` of MountainCar, else `ppo`",
     ),
 ]
 Agents = Annotated[
@@ -32,6 +37,14 @@ Agents = Annotated[
 ]
 Iterations = Annotated[
     int | None, typer.Option("--iterations", help="Number of updates.", show_default="preset")
+]
+Memory = Annotated[
+    str | None,
+    typer.Option(
+        "--memory",
+        help="Memory of the policy: `none` or `gru`; `ppo`, `mappo` and `pqn`.",
+        show_default="none",
+    ),
 ]
 Given = Annotated[
     list[str] | None,
@@ -54,8 +67,16 @@ Shards = Annotated[
     int | None,
     typer.Option(
         "--shards",
-        help="Number of Ray processes that step agents; `ppo` only.",
+        help="Number of Ray processes that step agents; `ppo` and `pqn`.",
         show_default="this process",
+    ),
+]
+Seeds = Annotated[
+    int | None,
+    typer.Option(
+        "--seeds",
+        help="Train so many seeds at once, from --seed on, each in a folder of its own.",
+        show_default="one",
     ),
 ]
 Quantize = Annotated[
@@ -78,38 +99,50 @@ Folder = Annotated[
 
 def command(
     env_id: common.EnvName,
-    algo: Algorithm = "ppo",
+    algo: Algorithm = None,
     n_agents: Agents = None,
     iterations: Iterations = None,
+    memory: Memory = None,
     setting: Given = None,
     seed: common.Seed = 0,
     device: common.DeviceName = "native",
     goal: Goal = None,
     evaluate_every: Every = None,
     shards: Shards = None,
+    seeds: Seeds = None,
     quantize: Quantize = False,
     option: common.Options = None,
     out: Folder = None,
     as_json: common.AsJson = False,
 ) -> None:
     """Train a policy that all agents share; with the --out of a run that was killed, resume it."""
+    spec = common.spec_of(env_id, option)
+    algo = algo or BEST.get(spec.name, "ppo")
     if algo not in ALGORITHMS:
         near = difflib.get_close_matches(algo, ALGORITHMS, 1)
         hint = f"did you mean {near[0]!r}?" if near else f"possible are {', '.join(map(repr, ALGORITHMS))}"
         raise ArgumentError(f"--algo is {algo!r}; {hint}")
     if goal is not None:
         checked_number("--goal", goal)
-    spec = common.spec_of(env_id, option)
     out = out or Path("out") / f"{spec.name}-{algo}"
     interrupts.advice = f": to go on, give the same command again, with the same --out {out}"
     try:
         with interrupts.at_once():  # PyTorch takes seconds to load
             from pearl_marl.training import run as training
+            from pearl_marl.training.population import Population
     except ModuleNotFoundError as error:
         raise ArgumentError(
             f"training needs the Python package {error.name}: pip install '.[train]'"
         ) from None
-    chosen = {"n_agents": n_agents, "iterations": iterations}
+    if memory is not None:
+        if memory not in (possible := training.SETTINGS["ppo"].range("memory")):
+            raise ArgumentError(f"--memory is {memory!r}; it must be {possible}")
+        if algo not in REMEMBERING:
+            raise ArgumentError(
+                f"{algo} learns no policies with memory: leave --memory out, or use one of "
+                f"{', '.join(REMEMBERING)}"
+            )
+    chosen = {"n_agents": n_agents, "iterations": iterations, "memory": memory}
     # --seed always has a value, which must not overrule --set seed=N.
     changes = {"seed": seed, **common.env_options(setting, "--set")}
     changes |= {name: n for name, n in chosen.items() if n is not None}
@@ -118,37 +151,20 @@ def command(
         settings = training.settings_for(algo, env_id, changes, shards, spec.agents)
     for warning in renamed:
         error_console.print(f"pearl: {warning.message}", markup=False, soft_wrap=True)
-    if quantize and getattr(settings, "sharing", "all") == "none":
-        raise ArgumentError(
-            "--quantize takes a policy that agents share; with sharing=none each has a network of its own"
-        )
-
+    if quantize:
+        _check_quantizable(algo, settings)
     plan = training.Training(env_id, algo, settings, dict(spec.options), device, goal, evaluate_every)
+    if seeds is not None:
+        if shards is not None or quantize:
+            raise ArgumentError(
+                "--seeds trains in this process, for the spread: leave --shards and --quantize out"
+            )
+        population = Population(plan, out, seeds)
+        _train(population, f"{env_id}, {algo}, {seeds} seeds", settings.iterations)
+        _tell_spread(population, env_id, algo, as_json)
+        return
     run = training.TrainingRun(plan, out, shards)
-    columns = (
-        TextColumn(f"{env_id}, {algo}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
-    )
-    # An iteration that has begun is done to its end: a run cannot go on from half of one.
-    keeping = "keeping the run after this iteration; Ctrl-C again ends it now"
-    with (
-        Progress(
-            *columns, console=error_console, transient=True, disable=not error_console.is_terminal
-        ) as bar,
-        run.claimed(),
-    ):
-        task = bar.add_task("train", total=settings.iterations, note="")
-        while not run.finished:
-            with interrupts.later(keeping):
-                row = run.iterate()
-            if row is not None:
-                bar.update(task, completed=run.trainer.done, note=_note(row))
-            if interrupts.noted and not run.finished:
-                run.keep()
-                raise KeyboardInterrupt
+    _train(run, f"{env_id}, {algo}", settings.iterations)
     rows = run.rows
     best = max(rows, key=lambda row: row["eval_return"])
     result: dict[str, Any] = {"environment": env_id, "algorithm": algo, "folder": str(out)}
@@ -164,6 +180,65 @@ def command(
     )
     if quantize:
         integers.show(integers.quantize_run(out))
+
+
+def _check_quantizable(algorithm: str, settings: Any) -> None:
+    """Refuse trainings of policies that do not become integers, before they begin."""
+    if getattr(settings, "sharing", "all") == "none":
+        raise ArgumentError(
+            "--quantize takes a policy that agents share; with sharing=none each has a network of its own"
+        )
+    if algorithm == "pqn" or getattr(settings, "memory", "none") == "gru":
+        raise ArgumentError(
+            "--quantize takes a policy without layer norm or memory: train it by ppo or dqn, without --memory"
+        )
+
+
+def _train(run: Any, title: str, iterations: int) -> None:
+    """Train a run, or several, to the end, or until Ctrl-C."""
+    columns = (
+        TextColumn(title, markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+    )
+    # An iteration that has begun is done to its end: a run cannot go on from half of one.
+    keeping = "keeping the run after this iteration; Ctrl-C again ends it now"
+    with (
+        Progress(
+            *columns, console=error_console, transient=True, disable=not error_console.is_terminal
+        ) as bar,
+        run.claimed(),
+    ):
+        task = bar.add_task("train", total=iterations, note="")
+        while not run.finished:
+            with interrupts.later(keeping):
+                row = run.iterate()
+            if row is not None:
+                bar.update(task, completed=run.done, note=_note(row))
+            if interrupts.noted and not run.finished:
+                run.keep()
+                raise KeyboardInterrupt
+
+
+def _tell_spread(population: Any, env_id: str, algorithm: str, as_json: bool) -> None:
+    """Print how the seeds did."""
+    goal, reached = population.training.goal, population.reached
+    last = population.spread()[-1]
+    if as_json:
+        result = {"environment": env_id, "algorithm": algorithm, "folder": str(population.folder)}
+        runs = [
+            {"seed": run.trainer.settings.seed, "best": run.best, "last": run.rows[-1]}
+            for run in population.runs
+        ]
+        common.print_json({**result, "goal": goal, "reached": reached, "spread": last, "runs": runs})
+        return
+    at_goal = "" if goal is None else f" {reached} of {len(population.runs)} seeds reached {goal:g}."
+    common.say(
+        f"Mean returns {last['least']:.2f} to {last['greatest']:.2f}, median {last['median']:.2f}.{at_goal} "
+        f"Wrote {population.folder}: seed-*, spread.csv, learning_curves.png"
+    )
 
 
 def _note(row: dict[str, Any]) -> str:

@@ -78,6 +78,7 @@ class Match(Evaluation):
             return actions
 
         super().__init__(spec, choose, n_agents, device, seed=seed, max_cycles=max_cycles)
+        self._players = policy, against
         self.elapsed = np.zeros(self.config.n_envs, np.int64)
 
     def _count(self, step: BatchStep) -> int:

@@ -26,7 +26,7 @@ from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.evaluation.episodes import RunningEpisodes
 from pearl_marl.golden.rng import checked_seed
 from pearl_marl.policies.device_policy import DevicePolicy
-from pearl_marl.policies.loading import Policy
+from pearl_marl.policies.loading import Policy, forget
 from pearl_marl.spec import MAX_CYCLES, EnvSpec, check_spec
 
 LIMIT = 1000
@@ -105,6 +105,7 @@ class Evaluation:
         self.episodes = n_agents if episodes is None else episodes
         self.device = make_device(device)
         self.seed, self._policy = checked_seed(seed), policy
+        self._players: tuple[Policy | DevicePolicy, ...] = (policy,)
         self.steps = self.truncated = 0
         self._quota = np.full(n_agents, self.episodes // n_agents)
         self._quota[: self.episodes % n_agents] += 1
@@ -150,8 +151,11 @@ class Evaluation:
 
     def _step_by_step(self, policy: Policy) -> Iterator[None]:
         stages = self.device.timed()
+        for player in self._players:
+            forget(player)
         observed = self._observed(self.device.reset(self.seed))
         self._add(*observed)
+        present = np.ones(self.config.n_agents, np.bool_)
         remaining = self.episodes
         while remaining:
             began = time.perf_counter()
@@ -164,6 +168,10 @@ class Evaluation:
             self._seconds.append({"policy": chosen - began, **stages, "pack": packed})
             if self.device.cycles is not None:
                 self._cycles.add(self.device.cycles)
+            # One that has ended before its world may have had steps of no episode since.
+            for player in self._players:
+                forget(player, step.ended | ~present)
+            present = step.in_episode.copy()
             observed = self._observed(step.obs)
             self._add(encoded, *step[:4], step.final_obs[step.ended], *observed[1:])
             counted = self._count(step)

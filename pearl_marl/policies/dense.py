@@ -43,6 +43,7 @@ class Layers(NamedTuple):
     bias2: Array
     third: Array  # (outputs, width)
     bias3: Array
+    layer_norm: bool  # whether what the first and the second layer make is standardised, row by row
 
 
 class Observed(NamedTuple):
@@ -132,12 +133,17 @@ _FOR_LOOPS: Any = {**ARITHMETIC, "no_cpython_wrapper": True, "no_cfunc_wrapper":
 
 _inlined: Callable[..., Any] = njit(forceinline=True, **_FOR_LOOPS)
 called: Callable[..., Any] = njit(**_FOR_LOOPS)
+# Sums of a row in any order, so that they are done by vectors.
+_summed: Callable[..., Any] = njit(**{**_FOR_LOOPS, "fastmath": {"contract", "reassoc"}})
 
 FARTHEST = 10
 """Deviations from the mean at which inputs are clipped."""
 
-_FARTHEST = np.float32(FARTHEST)
-_ONE, _TWO, _HALF = np.float32(1), np.float32(2), np.float32(0.5)
+EPSILON = 1e-5
+"""What layer norm adds to a variance."""
+
+_FARTHEST, _EPSILON = np.float32(FARTHEST), np.float32(EPSILON)
+_NONE, _ONE, _TWO, _HALF = np.float32(0), np.float32(1), np.float32(2), np.float32(0.5)
 _PER_LN2, _LN2, _LN2_REST = np.float32(1.44269504), np.float32(0.693359375), np.float32(-2.12194440e-4)
 _LOWEST, _HIGHEST = np.float32(-87), np.float32(88)
 _TERMS = tuple(np.float32(1 / number) for number in (5040, 720, 120, 24, 6, 2))
@@ -197,6 +203,11 @@ class Tile(NamedTuple):
     outputs: Array
     by_h2: Array
     by_h1: Array
+    # With layer norm, what the layers made, standardised, and the factors that did it; else empty.
+    norm1: Array
+    norm2: Array
+    scale1: Array
+    scale2: Array
 
 
 @called
@@ -228,6 +239,7 @@ def tile_of(layers: Layers) -> Tile:
     width, inputs = layers.first.shape
     high, wide = ROWS * _up(width, WIDE), ROWS * _up(inputs, HIGH)
     out = ROWS * _up(layers.third.shape[0], WIDE)
+    normed, rows = (high, ROWS) if layers.layer_norm else (0, 0)
     return Tile(
         np.zeros(wide, np.float32),
         np.empty(high, np.float32),
@@ -235,6 +247,10 @@ def tile_of(layers: Layers) -> Tile:
         np.empty(out, np.float32),
         np.empty(high, np.float32),
         np.empty(high, np.float32),
+        np.empty(normed, np.float32),
+        np.empty(normed, np.float32),
+        np.empty(rows, np.float32),
+        np.empty(rows, np.float32),
     )
 
 
@@ -244,6 +260,37 @@ def _biased(h: Array, bias: Array, rows: int) -> None:
     for row in range(rows):
         for i in range(width):
             h[row * width + i] = bias[i]
+
+
+@_summed
+def _standardised(h: Array, width: int, high: int, rows: int, norm: Array, scale: Array) -> None:
+    """Replace the first ``width`` of every ``high`` numbers by their layer norm; keep it, and its factors."""
+    for row in range(rows):
+        start = row * high
+        mean = squares = _NONE
+        for i in range(start, start + width):
+            mean += h[i]
+        mean /= np.float32(width)
+        for i in range(start, start + width):
+            squares += (h[i] - mean) * (h[i] - mean)
+        scale[row] = _ONE / np.sqrt(squares / np.float32(width) + _EPSILON)
+        for i in range(start, start + width):
+            norm[i] = h[i] = (h[i] - mean) * scale[row]
+        norm[start + width : start + high] = 0
+
+
+@_summed
+def _through_norm(by: Array, width: int, high: int, rows: int, norm: Array, scale: Array) -> None:
+    """Replace gradients by what :func:`_standardised` made by those by what it was given."""
+    for row in range(rows):
+        start = row * high
+        mean = along = _NONE
+        for i in range(start, start + width):
+            mean += by[i]
+            along += by[i] * norm[i]
+        mean, along = mean / np.float32(width), along / np.float32(width)
+        for i in range(start, start + width):
+            by[i] = (by[i] - mean - norm[i] * along) * scale[row]
 
 
 @called
@@ -271,9 +318,14 @@ def forward_rows(layers: Layers, weights: Padded, observed: Observed, rows: Arra
                 x[s * wide + k] = min(max(value, -_FARTHEST), _FARTHEST)
         x[n * wide : some * wide] = 0
         _product(h1, high, x, wide, 1, weights.first, high, some, high, inputs)
+    width = layers.first.shape[0]
+    if layers.layer_norm:
+        _standardised(h1, width, high, some, tile.norm1, tile.scale1)
     _tanh(h1, some * high)
     _biased(h2, weights.bias2, some)
     _product(h2, high, h1, high, 1, weights.second, high, some, high, high)
+    if layers.layer_norm:
+        _standardised(h2, width, high, some, tile.norm2, tile.scale2)
     _tanh(h2, some * high)
     _biased(tile.outputs, weights.bias3, some)
     _product(tile.outputs, out, h2, high, 1, weights.third, out, some, out, high)
@@ -328,7 +380,7 @@ def backward_rows(
 
     The tile's ``outputs`` hold the gradients by these; zeros, where there is no such row or output.
     """
-    outputs, n = layers.third.shape[0], len(rows)
+    outputs, n, width = layers.third.shape[0], len(rows), layers.first.shape[0]
     high, wide, out = len(weights.bias1), _up(layers.first.shape[1], HIGH), len(weights.bias3)
     by, h1, h2, by_h2, by_h1 = tile.outputs, tile.h1, tile.h2, tile.by_h2, tile.by_h1
     some = _up(n, HIGH)
@@ -337,11 +389,15 @@ def backward_rows(
     by_h2[: some * high] = 0
     _product(by_h2, high, by, out, 1, weights.third_back, high, some, high, outputs)
     _through_tanh(by_h2, h2, some * high)
+    if layers.layer_norm:
+        _through_norm(by_h2, width, high, some, tile.norm2, tile.scale2)
     _columns(by_h2, total.bias2, some)
     _product(total.second, high, by_h2, 1, high, h1, high, high, high, some)
     by_h1[: some * high] = 0
     _product(by_h1, high, by_h2, high, 1, weights.second_back, high, some, high, high)
     _through_tanh(by_h1, h1, some * high)
+    if layers.layer_norm:
+        _through_norm(by_h1, width, high, some, tile.norm1, tile.scale1)
     _columns(by_h1, total.bias1, some)
     if wide:
         _product(total.first, high, tile.x, 1, wide, by_h1, high, wide, high, some)

@@ -32,7 +32,8 @@ Array = npt.NDArray[Any]
 Policy = Callable[..., Any]
 """Observations, shape ``(n, *observation_shape)``, in; actions, shape ``(n, *action_space.shape)``, out.
 
-Where the environment has masks, they are a second argument, shape ``(n, n_actions)``.
+Where the environment has masks, they are a second argument, shape ``(n, n_actions)``. A policy with memory
+also has a method ``forget``: see :func:`forget`.
 """
 
 RANDOM = "random"
@@ -82,6 +83,12 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy | DevicePolic
         "FILE.npz), a model of Stable-Baselines3 (FILE.zip), a folder of `pearl train`, and a function "
         "(MODULE:FUNCTION, FILE.py:FUNCTION)"
     )
+
+
+def forget(policy: Policy | DevicePolicy, ended: Array | None = None) -> None:
+    """Have a policy with memory forget agents: those whose flag, shape ``(n,)``, says so, or all."""
+    if (method := getattr(policy, "forget", None)) is not None:
+        method(ended)
 
 
 def random_policy(spec: EnvSpec, seed: int = 0) -> Policy:
@@ -241,8 +248,8 @@ def _trained(path: Path, spec: EnvSpec, seed: int) -> Policy | DevicePolicy:
     if isinstance(found, DevicePolicy):
         return found
     found.seed(seed)
-    choose: Policy = found.choose
-    return choose
+    function: Policy = found.function
+    return function
 
 
 _LOADERS: dict[tuple[str, ...], Callable[[Path, EnvSpec, int], Policy | DevicePolicy]] = {

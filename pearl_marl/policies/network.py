@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,12 @@ import numpy.typing as npt
 import torch
 from gymnasium.spaces import Box, Space
 from torch import Tensor, nn
+from torch.nn.functional import layer_norm
 
 from pearl_marl.compiler.packing import unpacked
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies import dense
+from pearl_marl.policies.memory import Memory, Recall
 from pearl_marl.spec import EnvSpec
 from pearl_marl.spec.elements import are_numbers, bounds
 
@@ -162,7 +165,10 @@ class Encoder(nn.Module):
 class Network(nn.Module):
     """An :class:`Encoder`, a hidden layer as wide, and an output layer whose first weights have ``scale``.
 
-    With ``positions``, the first layer is also told which of so many agents of a world it is for.
+    With ``positions``, the first layer is also told which of so many agents of a world it is for. With
+    ``layer_norm``, what each of the two layers makes is standardised, row by row (Ba et al., 2016,
+    arXiv:1607.06450), without weights of its own. With ``memory``, what the first layer makes goes through
+    :class:`~pearl_marl.policies.memory.Memory`.
     """
 
     def __init__(
@@ -173,15 +179,18 @@ class Network(nn.Module):
         scale: float = 1.0,
         positions: int = 0,
         packs: EnvSpec | None = None,
+        layer_norm: bool = False,
+        memory: bool = False,
     ) -> None:
         super().__init__()
-        self.encoder = Encoder(space, width, packs)
+        self.encoder, self.layer_norm = Encoder(space, width, packs), layer_norm
         self.hidden, self.output = nn.Linear(width, width), nn.Linear(width, outputs)
         nn.init.orthogonal_(self.hidden.weight, 2**0.5)
         nn.init.orthogonal_(self.output.weight, scale)
         nn.init.zeros_(self.hidden.bias)
         nn.init.zeros_(self.output.bias)
         self.indicator = nn.Embedding(positions, width) if positions else None
+        self.memory = Memory(width) if memory else None
 
     def see(self, obs: Tensor, _: Tensor | None = None) -> None:
         """Take a batch of observations into the statistics by which they are standardised."""
@@ -189,12 +198,27 @@ class Network(nn.Module):
 
     def features(self, obs: Tensor, position: Tensor | None = None) -> Tensor:
         """Return the inputs of the output layer, shape ``(batch, width)``."""
+        features: Tensor = self._bent(self.hidden(self._first(obs, position)))
+        return features
+
+    def unrolled(self, obs: Tensor, position: Tensor | None, recall: Recall) -> tuple[Tensor, Tensor]:
+        """Return the same with a memory, of some steps of some agents; and the memories after each step."""
+        assert self.memory is not None
+        memories = self.memory(self._first(obs, position), recall)
+        return self._bent(self.hidden(memories.flatten(0, 1))), memories
+
+    def _first(self, obs: Tensor, position: Tensor | None) -> Tensor:
+        """Return what the first layer makes."""
         first = self.encoder(obs)
         if self.indicator is not None:
             first = first + self.indicator(position)
-        bend = torch.relu if self.encoder.kind == "picture" else torch.tanh
-        features: Tensor = bend(self.hidden(bend(first)))
-        return features
+        return self._bent(first)
+
+    def _bent(self, made: Tensor) -> Tensor:
+        """Return what a layer made, standardised or not, through the nonlinearity."""
+        if self.layer_norm:
+            made = layer_norm(made, made.shape[1:], eps=dense.EPSILON)
+        return torch.relu(made) if self.encoder.kind == "picture" else torch.tanh(made)
 
     def forward(self, obs: Tensor, position: Tensor | None = None) -> Tensor:
         """Return the outputs, shape ``(batch, outputs)``; of agents with these positions in their worlds."""
@@ -220,7 +244,8 @@ class Network(nn.Module):
         )
         if instead is not None:
             tensors = tuple(instead.get(tensor, tensor) for tensor in tensors)
-        return dense.Layers(*(tensor.detach().numpy() for tensor in tensors))
+        arrays = (tensor.detach().numpy() for tensor in tensors)
+        return dense.Layers(*arrays, self.layer_norm)  # type: ignore[call-arg, arg-type]
 
     def observed(self, obs: Tensor, position: Tensor | None) -> dense.Observed:
         """Return observations as compiled loops take them."""
@@ -246,8 +271,8 @@ class Network(nn.Module):
 
 
 def is_dense(network: nn.Module) -> bool:
-    """Return whether compiled loops can do all of it: no picture, no separate networks, no GPU."""
-    if not isinstance(network, Network):
+    """Return whether compiled loops can do all of it: no picture, memory, separate networks or GPU."""
+    if not isinstance(network, Network) or network.memory is not None:
         return False
     return network.encoder.kind != "picture" and not network.output.weight.is_cuda
 
@@ -268,10 +293,21 @@ class SeparateNetworks(nn.ModuleList):
 
 
 def networks(
-    spec: EnvSpec, outputs: int, width: int, scale: float = 1.0, sharing: str = "all"
+    spec: EnvSpec,
+    outputs: int,
+    width: int,
+    scale: float = 1.0,
+    sharing: str = "all",
+    layer_norm: bool = False,
+    memory: bool = False,
 ) -> Network | SeparateNetworks:
     """Return networks for a world's agents, with so many outputs; ``sharing`` is of :data:`SHARING`."""
-    space = spec.observation_space
+    kinds: dict[str, Any] = {"packs": spec, "layer_norm": layer_norm, "memory": memory}
+    made = partial(Network, spec.observation_space, outputs, width, scale, **kinds)
     if sharing == "none":
-        return SeparateNetworks(Network(space, outputs, width, scale, packs=spec) for _ in range(spec.agents))
-    return Network(space, outputs, width, scale, spec.agents if sharing == "indicator" else 0, spec)
+        if memory:
+            raise ArgumentError(
+                "agents with memory share a network: take sharing all or indicator, or the memory none"
+            )
+        return SeparateNetworks(made() for _ in range(spec.agents))
+    return made(positions=spec.agents if sharing == "indicator" else 0)

@@ -60,7 +60,8 @@ def quantized(
     Raises
     ------
     ArgumentError
-        The widths are impossible, or the policy has a network of its own for each agent of a world.
+        The widths are impossible, the policy has a network of its own for each agent of a world, or its
+        layers are standardised.
     """
     checked_integer("weight_bits", weight_bits, *BITS)
     checked_integer("activation_bits", activation_bits, *BITS)
@@ -71,6 +72,12 @@ def quantized(
         raise ArgumentError(
             "the policy has a network of its own for each agent of a world, and only shared ones become "
             "integers: train it with sharing all or indicator"
+        )
+    if network.memory is not None:
+        raise ArgumentError("the policy has a memory, for which integers have no layer: train it without")
+    if network.layer_norm:
+        raise ArgumentError(
+            "the policy's layers are standardised, for which integers have no layer: train it by ppo or dqn"
         )
     made = _Quantizing(
         policy, network, observations, (1 << weight_bits - 1) - 1, (1 << activation_bits - 1) - 1

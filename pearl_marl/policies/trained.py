@@ -5,6 +5,8 @@ A trained policy is a ``policy.safetensors`` with all that is needed to use it a
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +19,16 @@ from pearl_marl.checks import is_number
 from pearl_marl.envs import registered_spec
 from pearl_marl.errors import ArgumentError, brief, one_line
 from pearl_marl.policies import policy_file
+from pearl_marl.policies.memory import MEMORY, Recall, acting
 from pearl_marl.policies.network import SHARING, Array, masked, most, networks
 from pearl_marl.spec import EnvSpec
 from pearl_marl.spec.elements import are_numbers, bounds
 
 KINDS = ("logits", "values", "mean")
 """How a network's outputs are meant: see :class:`NetworkPolicy`."""
+
+SECOND_THREAD = 1 << 17
+"""Rows times width from which on a second thread helps: threads that wait for each other take longer."""
 
 _SCALAR = torch.zeros(())
 """Stands for a tensor that a file does not have."""
@@ -47,6 +53,11 @@ class _Trained(nn.Module):
         actions: Array = self.act(torch.from_numpy(obs).to(where), allowed).cpu().numpy()
         return actions
 
+    @property
+    def function(self) -> Callable[..., Array]:
+        """The policy as evaluations call it: :meth:`choose`, with ``forget`` where it remembers."""
+        return self.choose
+
     def act(self, obs: Tensor, masks: Tensor | None = None) -> Tensor:
         """Return the actions that it takes where it is used: the best, unless it says otherwise."""
         return self.best(obs, masks)
@@ -61,6 +72,27 @@ class _Trained(nn.Module):
     def save(self, path: Path) -> None:
         """Write what :func:`load` reads."""
         policy_file.write(path, self.about, self.state_dict())
+
+
+class Remembering:
+    """A policy with memory as a function, which is called once for each step of all its agents.
+
+    Whoever steps them calls ``forget`` after each step with those whose episodes ended, and without any
+    argument before a reset: see :func:`pearl_marl.policies.loading.forget`.
+    """
+
+    def __init__(self, policy: NetworkPolicy) -> None:
+        self._policy, self.forget = policy, policy.forget
+
+    def __call__(self, obs: Array, masks: Array | None = None) -> Array:
+        """Return an action for each observation; of few agents with one thread of PyTorch."""
+        threads = torch.get_num_threads()
+        if len(obs) * self._policy.about["width"] < SECOND_THREAD:
+            torch.set_num_threads(1)
+        try:
+            return self._policy.choose(obs, masks)
+        finally:
+            torch.set_num_threads(threads)
 
 
 class NetworkPolicy(_Trained):
@@ -85,6 +117,10 @@ class NetworkPolicy(_Trained):
         How random its actions are where it is used. With ``"logits"``, they are drawn at this temperature; 0
         takes the most probable. With ``"values"``, this share is random. Two agents of a team that both want
         to be in the same cell, and always take the best action, wait for each other forever.
+    layer_norm
+        Whether layers are standardised: see :class:`~pearl_marl.policies.network.Network`.
+    memory
+        ``"gru"``: it remembers. Each call is then a step of the same agents; see :meth:`forget`.
     """
 
     bound: Tensor
@@ -99,10 +135,16 @@ class NetworkPolicy(_Trained):
         sharing: str = "all",
         temperature: float = 0.0,
         epsilon: float = 0.0,
+        layer_norm: bool = False,
+        memory: str = "none",
     ) -> None:
         sharing = sharing if spec.agents > 1 else "all"
         randomness = {"logits": {"temperature": temperature}, "values": {"epsilon": epsilon}}.get(kind, {})
-        super().__init__(spec, kind=kind, width=width, sharing=sharing, **randomness)
+        described: dict[str, Any] = {"layer_norm": True} if layer_norm else {}
+        if memory != "none":
+            described["memory"] = memory
+        self.memory: Tensor | None = None
+        super().__init__(spec, kind=kind, width=width, sharing=sharing, **randomness, **described)
         self.temperature, self.epsilon = temperature, epsilon
         self.random = torch.Generator().manual_seed(0)
         actions = spec.action_space
@@ -110,12 +152,13 @@ class NetworkPolicy(_Trained):
             kind == "values" and not isinstance(actions, Discrete)
         ):
             raise ArgumentError(
-                f"dqn chooses among numbered actions, and {spec.name}'s are in {actions}: use ppo"
+                f"action values are of numbered actions, and {spec.name}'s are in {actions}: use ppo"
             )
         self.heads = [] if isinstance(actions, (Box, Discrete)) else list(spec.action_counts)
         """How many outputs each field of an action has, where it has fields to be chosen one by one."""
         self.outputs = sum(spec.action_counts) or len(spec.action_fields)
-        self.network = networks(spec, self.outputs, width, 1.0 if kind == "values" else 0.01, sharing)
+        scale = 1.0 if kind == "values" else 0.01
+        self.network = networks(spec, self.outputs, width, scale, sharing, layer_norm, memory != "none")
         low, high = bounds(actions) if isinstance(actions, Box) else np.array([[-1], [1]], np.float32)
         self.register_buffer("bound", torch.from_numpy((high - low) / 2))
         for name, end in (("low", low), ("high", high)):
@@ -130,6 +173,47 @@ class NetworkPolicy(_Trained):
             position = self.positions(len(obs))
         return masked(self.network(obs, position), masks)
 
+    @property
+    def function(self) -> Callable[..., Array]:
+        """The policy as evaluations call it."""
+        return Remembering(self) if self.remembers else self.choose
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it has a memory."""
+        return "memory" in self.about
+
+    def unrolled(
+        self, obs: Tensor, masks: Tensor | None, position: Tensor | None, recall: Recall
+    ) -> tuple[Tensor, Tensor]:
+        """Return the outputs with a memory, of some steps of some agents; and the memories after each step.
+
+        Observations, masks and positions have steps and agents as one axis.
+        """
+        network: Any = self.network
+        features, memories = network.unrolled(obs, position, recall)
+        return masked(network.output(features), masks), memories
+
+    def forget(self, ended: Array | None = None) -> None:
+        """Forget what agents remember: those whose episodes ended, or all."""
+        if ended is None or self.memory is None:
+            self.memory = None
+        else:
+            rows = torch.from_numpy(ended).to(self.memory.device)
+            self.memory = self.memory.masked_fill(rows[:, None], 0)
+
+    def _outputs(self, obs: Tensor, masks: Tensor | None) -> Tensor:
+        """Return the outputs, of the next step where it remembers."""
+        if not self.remembers:
+            outputs: Tensor = self(obs, masks)
+            return outputs
+        if self.memory is None or len(self.memory) != len(obs):
+            self.memory = torch.zeros(len(obs), self.about["width"], device=obs.device)
+        acts = acting(masks)
+        recall = Recall(self.memory, acting=None if acts is None else acts[None])
+        outputs, (self.memory,) = self.unrolled(obs, masks, self.positions(len(obs)), recall)
+        return outputs
+
     def see(self, obs: Tensor, position: Tensor | None) -> None:
         """Take a batch of observations into the statistics by which they are standardised."""
         network: Any = self.network
@@ -138,7 +222,7 @@ class NetworkPolicy(_Trained):
     @torch.no_grad()
     def best(self, obs: Tensor, masks: Tensor | None = None) -> Tensor:
         """Return the best actions: ``int64`` numbers, or ``float32`` within the bounds."""
-        outputs = self(obs, masks)
+        outputs = self._outputs(obs, masks)
         if self.about["kind"] == "mean":
             return self.within_bounds(outputs)
         return most(outputs, self.heads)
@@ -149,7 +233,7 @@ class NetworkPolicy(_Trained):
         kind = self.about["kind"]
         if not {"logits": self.temperature, "values": self.epsilon}.get(kind):
             return self.best(obs, masks)
-        outputs = self(obs, masks)
+        outputs = self._outputs(obs, masks)
         noise = torch.rand(outputs.shape, generator=self.random).to(outputs.device)
         if kind == "logits":  # Gumbel's trick
             return most(outputs / self.temperature - noise.log().neg().log(), self.heads)
@@ -265,10 +349,20 @@ def _described(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPoli
     hidden = tensors.get(layer, _SCALAR)
     if width < 1 or hidden.shape != (width, width):
         raise ArgumentError(f"its policy has the width {brief(width)}, and layers of {tuple(hidden.shape)}")
+    if not isinstance(layer_norm := about.get("layer_norm", False), bool):
+        raise ArgumentError(f"its policy has the layer_norm {brief(layer_norm)}; possible are true, false")
+    if (memory := about.get("memory", "none")) not in MEMORY:
+        raise ArgumentError(f"its policy has the memory {brief(memory)}; possible are {', '.join(MEMORY)}")
+    make: Any = partial(
+        NetworkPolicy, spec, about["kind"], width, sharing, layer_norm=layer_norm, memory=memory
+    )
     name = {"logits": "temperature", "values": "epsilon"}.get(about["kind"])
+    policy: NetworkPolicy
     if name is None:
-        return NetworkPolicy(spec, about["kind"], width, sharing)
+        policy = make()
+        return policy
     randomness = about.get(name, about.get("chance", 0.0))  # older files have "chance" for both
     if not is_number(randomness) or randomness < 0:
         raise ArgumentError(f"its policy has the {name} {brief(randomness)}; it must be a number from 0")
-    return NetworkPolicy(spec, about["kind"], width, sharing, **{name: float(randomness)})
+    policy = make(**{name: float(randomness)})
+    return policy

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import torch
 from gymnasium.spaces import Box
 from torch import Tensor, nn
 
+from pearl_marl.policies.memory import Recall, acting
 from pearl_marl.policies.network import Network, masked, most, networks
 from pearl_marl.policies.trained import NetworkPolicy
 from pearl_marl.spec import EnvSpec
@@ -24,14 +25,22 @@ class Inputs(NamedTuple):
     masks: Tensor | None = None  # where the environment has any
     position: Tensor | None = None  # of the agent in its world; where there are others
     state: Tensor | None = None  # of its world; for a central critic
+    # Of rollouts with memory: what the agent remembers before the step, and whether its episode begins there.
+    memory: Tensor | None = None
+    begins: Tensor | None = None
 
-    def pick(self, rows: Tensor | slice | tuple[Tensor, ...]) -> Inputs:
+    def pick(self, rows: Any) -> Inputs:
         """Return some rows."""
         return Inputs(*(None if tensor is None else tensor[rows] for tensor in self))  # type: ignore[arg-type]
 
     def flat(self) -> Inputs:
         """Return steps and agents as one axis."""
         return Inputs(*(None if tensor is None else tensor.flatten(0, 1) for tensor in self))  # type: ignore[arg-type]
+
+    def recall(self) -> tuple[Inputs, Recall]:
+        """Return steps and agents as one axis, and what agents remember in these steps."""
+        assert self.memory is not None
+        return self.flat(), Recall(self.memory[0], self.begins, acting(self.masks))
 
 
 class ActorCritic(nn.Module):
@@ -48,16 +57,29 @@ class ActorCritic(nn.Module):
     central
         Whether the critic is given the state of the whole world, and has an output for each of its agents,
         instead of what the agent observes. The policy is not, so agents act on their own all the same.
+    memory
+        See :class:`~pearl_marl.policies.trained.NetworkPolicy`. A critic that is not central remembers too.
     """
 
+    @classmethod
+    def of(cls, spec: EnvSpec, settings: Any, central: bool = False) -> Self:
+        """Return the model of a run with these settings."""
+        return cls(spec, settings.width, settings.sharing, settings.temperature, central, settings.memory)
+
     def __init__(
-        self, spec: EnvSpec, width: int, sharing: str = "all", temperature: float = 0.0, central: bool = False
+        self,
+        spec: EnvSpec,
+        width: int,
+        sharing: str = "all",
+        temperature: float = 0.0,
+        central: bool = False,
+        memory: str = "none",
     ) -> None:
         super().__init__()
         self.continuous = isinstance(spec.action_space, Box)
         self.central = central
         self.policy = NetworkPolicy(
-            spec, "mean" if self.continuous else "logits", width, sharing, temperature
+            spec, "mean" if self.continuous else "logits", width, sharing, temperature, memory=memory
         )
         network = self.actor
         # For pictures, most of the work is in the first layers: actor and critic share them.
@@ -71,7 +93,10 @@ class ActorCritic(nn.Module):
         else:
             self.critic = nn.Linear(width, 1)
             if not self.shared:
-                self.critic = networks(spec, 1, width, scale, self.policy.about["sharing"])
+                sharing = self.policy.about["sharing"]
+                self.critic = networks(spec, 1, width, scale, sharing, memory=self.policy.remembers)
+        # Numbers that an agent's memory has: the actor's, then the critic's, if that has its own.
+        self.memory_size = width * (1 if self.shared or central else 2)
         if self.continuous:
             self.log_deviation = nn.Parameter(torch.full((1,), -0.5))
 
@@ -112,7 +137,26 @@ class ActorCritic(nn.Module):
         features = self.actor.features(inputs.obs, inputs.position)
         return masked(self.actor.output(features), inputs.masks), self.critic(features)[:, 0]
 
-    def noise(self, shape: tuple[int, ...], random: torch.Generator) -> Tensor:
+    def unrolled(self, inputs: Inputs) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the same for steps of agents that remember, and the memories after each step.
+
+        Inputs have a row for each step and a column for each agent; of memories, the first row counts.
+        Outputs and values have both as one axis.
+        """
+        flat, recall = inputs.recall()
+        network = self.actor
+        own = recall._replace(memory=recall.memory[:, : network.hidden.in_features])
+        features, memories = network.unrolled(flat.obs, flat.position, own)
+        outputs = masked(network.output(features), flat.masks)
+        if self.shared:
+            return outputs, self.critic(features)[:, 0], memories
+        if self.central:
+            return outputs, self.values(flat), memories
+        own = recall._replace(memory=recall.memory[:, network.hidden.in_features :])
+        features, others = self.critic.unrolled(flat.obs, flat.position, own)
+        return outputs, self.critic.output(features)[:, 0], torch.cat((memories, others), -1)
+
+    def noise(self, shape: tuple[int, ...], random: torch.Generator, _: float = 0.0) -> Tensor:
         """Return the noise that makes actions random, for outputs of that shape: see :meth:`draw`."""
         noise = torch.empty(shape, device=random.device)
         if self.continuous:
@@ -127,6 +171,10 @@ class ActorCritic(nn.Module):
         # Gumbel's trick: the largest of logits with such noise has the probabilities of the logits.
         actions = most(outputs + noise, self.policy.heads)
         return actions, actions
+
+    def log_probs(self, outputs: Tensor, actions: Tensor) -> Tensor:
+        """Return the logarithms of actions' probabilities."""
+        return self.evaluate(outputs, actions)[0]
 
     def evaluate(self, outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         """Return the logarithms of actions' probabilities, and the mean entropy of the policy."""

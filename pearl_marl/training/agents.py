@@ -37,11 +37,14 @@ class Agents:
         Which agents take part in the next step.
     acting
         Which of these have something to decide in it: not those that wait for their turn.
+    begins
+        Which of them forget what they remember before it, as an episode of theirs has ended; none at first.
     """
 
     inputs: Inputs
     alive: Tensor
     acting: Tensor
+    begins: Tensor
 
     def __init__(
         self,
@@ -62,6 +65,7 @@ class Agents:
         number = torch.arange(n, device=obs.device)
         self.position = number % spec.agents if spec.agents > 1 else None
         self.alive = number >= 0
+        self.begins = ~self.alive
         self._observe(obs)
 
     @property
@@ -77,7 +81,10 @@ class Agents:
             if isinstance(self.spec.action_space, Discrete):  # the words that a device takes as they are
                 taken = taken.astype(self.spec.action_dtype)
         step: Any = BatchStep(*map(torch.as_tensor, self.device.step(taken)))  # type: ignore[arg-type]
+        alive = self.alive
         self._observe(step.obs)
+        # One that had ended before its world may have been stepped since.
+        self.begins = step.ended | ~alive
         return step
 
     def _observe(self, obs: Any) -> None:
@@ -105,6 +112,7 @@ class Agents:
     def load(self, state: SavedState) -> None:
         """Go on from what :meth:`state` returned."""
         self._observe(self.device.restore(state))
+        self.begins = torch.zeros_like(self.begins)
 
 
 TEAM = ("own", "mean", "sum")

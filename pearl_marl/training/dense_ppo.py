@@ -1,6 +1,6 @@
 """The gradients of PPO's loss, compiled: by all weights of small networks, in one pass over a minibatch.
 
-They are those that autograd finds for ``PPO.gradients``. PyTorch calls a hundred operations for each
+They are those that autograd finds for ``PPO.autograd``. PyTorch calls a hundred operations for each
 minibatch, and small networks would wait for these calls. The networks are those of
 :mod:`pearl_marl.policies.dense`.
 """
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,6 +36,7 @@ from pearl_marl.policies.dense import (
 )
 from pearl_marl.policies.network import MASKED, is_dense
 from pearl_marl.training.actor_critic import ActorCritic
+from pearl_marl.training.halves import Halves
 from pearl_marl.training.rollout import RolloutBuffer
 
 Array = npt.NDArray[Any]
@@ -220,9 +221,6 @@ def _gradients(
 _loss_of = compiled_loop(_loss)
 _gradients_of = compiled_loop(_gradients, dense)
 
-SECOND_THREAD = 1 << 16
-"""Rows times width of a minibatch from which on a second thread does half of it."""
-
 
 def fits(model: ActorCritic) -> bool:
     """Return whether these loops can learn a model's networks."""
@@ -233,13 +231,11 @@ class CompiledGradients:
     """Finds gradients for minibatches of a rollout, whose steps and agents are one axis.
 
     Called with the rows of a minibatch, it leaves the gradients with the model's parameters, and returns what
-    ``PPO.gradients`` returns. The number of threads changes nothing: a minibatch that is large enough for two
-    is always the sum of two halves.
+    ``PPO.autograd`` returns.
     """
 
     def __init__(self, model: ActorCritic, rollout: RolloutBuffer, clip: float, entropy: float) -> None:
         self._clip, self._entropy = clip, entropy
-        self._width = model.policy.about["width"]
         inputs = rollout.inputs
         observed: Any = model.actor.observed(inputs.obs, inputs.position)
         column, critic_obs, critic_position = np.empty(0, np.int64), inputs.obs, inputs.position
@@ -256,33 +252,20 @@ class CompiledGradients:
             column,
             *(part.contiguous().numpy() for part in (rollout.log_probs, rollout.advantages, rollout.returns)),
         )
-        parameters: Any = list(model.parameters())
-        self._first: list[Tensor] = [parameter.grad for parameter in parameters]
-        self._second = [torch.empty_like(parameter) for parameter in parameters]
         self._weights = _weights(model, None)
-        self._gradients = [
-            _weights(model, dict(zip(parameters, tensors, strict=True)))
-            for tensors in (self._first, self._second)
-        ]
-        self._helper = ThreadPoolExecutor(1)
+        self._halves = Halves(model, model.policy.about["width"], partial(_weights, model))
 
     def __call__(self, rows: Tensor) -> Tensor:
         """Find the gradients of some rows."""
         numbers = rows.numpy()
         loss = _loss_of()(self._samples.advantages, numbers, self._clip, self._entropy)
-        if len(numbers) * self._width < SECOND_THREAD:
-            return torch.from_numpy(self._half(numbers, loss, self._gradients[0]))
-        middle = len(numbers) // 2
-        other = self._helper.submit(self._half, numbers[middle:], loss, self._gradients[1])
-        figures = self._half(numbers[:middle], loss, self._gradients[0]) + other.result()
-        for gradient, second in zip(self._first, self._second, strict=True):
-            gradient += second
-        return torch.from_numpy(figures)
 
-    def _half(self, rows: Array, loss: Loss, gradients: Weights) -> Array:
-        figures = np.empty(4)
-        _gradients_of()(self._weights, gradients, *self._inputs, self._samples, rows, loss, figures)
-        return figures
+        def half(some: Array, gradients: Weights) -> Array:
+            figures = np.empty(4)
+            _gradients_of()(self._weights, gradients, *self._inputs, self._samples, some, loss, figures)
+            return figures
+
+        return self._halves.find(numbers, half)
 
 
 def _weights(model: ActorCritic, instead: Mapping[Tensor, Tensor] | None) -> Weights:

@@ -18,6 +18,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import SHARING, is_dense
 from pearl_marl.policies.trained import NetworkPolicy
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
+from pearl_marl.training.action_values import explored
 from pearl_marl.training.adam import Adam
 from pearl_marl.training.agents import TEAM, Agents, observed_spec, team_rewards
 from pearl_marl.training.dense_dqn import Steps, gradients_of
@@ -137,9 +138,7 @@ class DQN(Trainer):
     @property
     def explored(self) -> float:
         """The share of actions that is random now."""
-        settings: DQNSettings = self.settings
-        passed = min(1.0, self.done / (settings.exploration_fraction * settings.iterations))
-        return settings.epsilon + passed * (settings.final_epsilon - settings.epsilon)
+        return explored(self.settings, self.done / self.settings.iterations)
 
     def _step(self) -> None:
         agents, inputs = self.agents, self.agents.inputs

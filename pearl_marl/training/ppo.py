@@ -7,34 +7,27 @@ this module learns from them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from pearl_marl.errors import ArgumentError
+from pearl_marl.policies.memory import MEMORY
 from pearl_marl.policies.network import SHARING
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.actor_critic import ActorCritic
-from pearl_marl.training.adam import Adam
-from pearl_marl.training.agents import TEAM, observed_spec
+from pearl_marl.training.agents import TEAM
 from pearl_marl.training.dense_ppo import CompiledGradients, fits
-from pearl_marl.training.rollout import RolloutBuffer, RolloutWorker
-from pearl_marl.training.settings import SEEDS, WIDEST, TrainerSettings, check_memory, choice, count, number
-from pearl_marl.training.trainer import Trainer
-from pearl_marl.training.workers import RayWorkers
+from pearl_marl.training.on_policy import OnPolicyTrainer
+from pearl_marl.training.rollout import RolloutBuffer
+from pearl_marl.training.settings import SEEDS, WIDEST, BlockSettings, choice, count, number
 
 
 @dataclass(frozen=True)
-class PPOSettings(TrainerSettings):
-    """What a run of PPO depends on, each said beside its default.
-
-    Agents are in blocks, which the policy is given one at a time, each with random numbers of its own. The
-    result depends on the number of blocks, and not on the number of workers that share them.
-    """
+class PPOSettings(BlockSettings):
+    """What a run of PPO depends on, each said beside its default."""
 
     n_agents: int = count(1024, most=MAX_SLOTS)  # that gather experience
     rollout_length: int = count(32, formerly="depth")  # steps of each between updates
@@ -52,111 +45,51 @@ class PPOSettings(TrainerSettings):
     rewards: str = choice(*TEAM)  # an agent's own, or the mean or sum of its world's
     # Of the policy where it is used; 0 takes the most probable actions.
     temperature: float = number(0.0, formerly="chance")
-    blocks: int = count(1, most=MAX_SLOTS)
+    memory: str = choice(*MEMORY)  # of policies
+    chunk_length: int = count(16)  # steps that gradients go back through, with a memory
+    blocks: int = count(1, most=MAX_SLOTS)  # see BlockSettings
     seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.blocks > self.n_agents:
-            raise ArgumentError(
-                f"setting 'blocks' is {self.blocks}; it must be 1 to {self.n_agents}, the number of agents"
-            )
 
-
-class PPO(Trainer):
-    """A run of PPO: :meth:`iterate` is one update. In worlds it is IPPO: each agent goes by its observations.
-
-    It learns where the device has its observations: with ``"cuda"``, on the GPU. This process gathers
-    rollouts, or as many of Ray's as ``shards`` says; the result is the same.
-    """
+class PPO(OnPolicyTrainer):
+    """A run of PPO. In worlds it is IPPO: each agent goes by its observations."""
 
     central = False
     """Whether the critic is given the state of the world."""
 
-    gathers: type[RolloutWorker] = RolloutWorker
-    """The class that gathers rollouts in this process."""
+    losses = ("policy_loss", "value_loss", "entropy", "clipped")
+    max_grad_norm = 0.5
 
-    def __init__(self, spec: EnvSpec, device: Any, settings: PPOSettings, shards: int | None = None) -> None:
-        # Of every step at least an observation, and six numbers more.
-        rows = settings.n_agents * settings.rollout_length
-        names = "n_agents", "rollout_length"
-        check_memory(observed_spec(spec, device), settings, device, names, rows, 6 * 4 * rows)
-        torch.manual_seed(settings.seed)
-        self.model = ActorCritic(spec, settings.width, settings.sharing, settings.temperature, self.central)
-        self.worker: Any
-        if shards is None:
-            self.worker = self.gathers(spec, device, settings, self.model)
-            agents = self.worker.agents
-        else:
-            agents = self.worker = RayWorkers(spec, device, settings, self.model, shards)
-        super().__init__(settings, agents, self.worker.where)
-        self.steps_per_iteration = settings.rollout_length
-        self.model.to(self.where)
-        self.policy = self.model.policy
-        self.optimiser = Adam(self.model.parameters(), epsilon=1e-5, max_grad_norm=0.5)
-        self.components = {"model": self.model, "optimiser": self.optimiser}
-        self.losses = torch.zeros(4, device=self.where)
+    def made(self, spec: EnvSpec, settings: PPOSettings) -> ActorCritic:
+        """Return the model that is learned."""
+        return ActorCritic.of(spec, settings, self.central)
 
-    def update(self) -> None:
-        """Gather a rollout and learn from it."""
-        rollout = self.worker.gather(self.done)
-        self.count(rollout)
-        samples = rollout.flat()
-        rows = samples.loss_mask.nonzero()[:, 0]
-        if len(rows):
-            inputs = samples.inputs
-            self.model.see(inputs if len(rows) == len(inputs.obs) else inputs.pick(rows))
-            self.learn(samples, rows)
-        self.done += 1
-
-    def learn(self, samples: RolloutBuffer, rows: Tensor) -> None:
-        """Learn from these rows of a rollout, whose steps and agents are one axis."""
-        settings = self.settings
-        gradients: Callable[[Tensor], Tensor] = partial(self.gradients, samples)
+    def gradients(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
+        """Return a function that finds the gradients of some rows' loss: compiled, if that can be."""
         if fits(self.model):
-            gradients = CompiledGradients(self.model, samples, settings.clip, settings.entropy)
-        rate = settings.learning_rate * (1 - self.done / settings.iterations)
-        losses = []
-        for minibatch in self._minibatches(rows):
-            losses.append(gradients(minibatch))
-            self.optimiser.step(rate)
-        self.losses = torch.stack(losses).mean(0)
-        self.check(self.losses)
+            return CompiledGradients(self.model, samples, self.settings.clip, self.settings.entropy)
+        return partial(self.autograd, samples)
 
-    def gradients(self, samples: RolloutBuffer, minibatch: Tensor) -> Tensor:
+    def autograd(self, samples: RolloutBuffer, minibatch: Tensor) -> Tensor:
         """Leave the gradients of a minibatch's loss with the parameters.
 
         Return the policy's loss, the critic's, the entropy, and the share of ratios that were clipped.
         """
-        clip, n = self.settings.clip, len(minibatch)
-        outputs, values = self.model(samples.inputs.pick(minibatch))
-        log_probs, entropy = self.model.evaluate(outputs, samples.actions[minibatch])
-        ratio = (log_probs - samples.log_probs[minibatch]).exp()
-        advantages = samples.advantages[minibatch]
-        if n > 1:  # a single one has no deviation
+        clip = self.settings.clip
+        outputs, values, batch = self.forward(samples, minibatch)
+        log_probs, entropy = self.model.evaluate(outputs, batch.actions)
+        ratio = (log_probs - batch.log_probs).exp()
+        advantages = batch.advantages
+        if len(advantages) > 1:  # a single one has no deviation
             deviation, mean = torch.std_mean(advantages)
             advantages = (advantages - mean) / (deviation + 1e-8)
         policy_loss = -torch.min(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages).mean()
-        value_loss = (values - samples.returns[minibatch]).square().mean()
+        value_loss = (values - batch.returns).square().mean()
         loss = policy_loss + 0.5 * value_loss - self.settings.entropy * entropy
         self.optimiser.zero_grad()
         loss.backward()
         clipped = ((ratio - 1).abs() > clip).float().mean()
         return torch.stack((policy_loss, value_loss, entropy, clipped)).detach()
-
-    def count(self, rollout: RolloutBuffer) -> None:
-        """Count the episodes that ended."""
-        self.episodes.add(rollout.rewards, rollout.ended)
-
-    def figures(self) -> dict[str, float | None]:
-        """Return figures for the metrics: of episodes since they were last asked for, and the last losses."""
-        names = ("policy_loss", "value_loss", "entropy", "clipped")
-        return {**super().figures(), **dict(zip(names, self.losses.tolist(), strict=True))}
-
-    def _minibatches(self, rows: Tensor) -> Iterator[Tensor]:
-        for _ in range(self.settings.epochs):
-            order = torch.randperm(len(rows), generator=self.random, device=self.where)
-            yield from torch.split(rows[order], self.settings.minibatch)
 
 
 class MAPPO(PPO):

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+BEST: dict[str, str] = {"MountainCar": "pqn"}
+"""Algorithms that learn an environment sooner than PPO, with every seed; others are learned by PPO."""
+
 # Two agents that want to be in the same cell need to know which gives way, or act at random.
 FORAGING: dict[str, Any] = {
     "n_agents": 512,
@@ -57,6 +60,14 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "learning_rate": 1e-2,
         "width": 32,
     },
+    ("pqn", "CartPole"): {
+        "n_agents": 512,
+        "epochs": 1,
+        "minibatch": 512,
+        "learning_rate": 1e-2,
+        "q_lambda": 0.9,
+        "width": 32,
+    },
     ("ppo", "MountainCar"): {
         # The goal is far: its value has to travel back through some 200 steps.
         "n_agents": 2048,
@@ -65,6 +76,14 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "learning_rate": 1e-3,
         "discount": 0.99,
         "gae_lambda": 0.98,
+    },
+    ("pqn", "MountainCar"): {
+        "n_agents": 2048,
+        "rollout_length": 16,
+        "iterations": 150,
+        "epochs": 4,
+        "learning_rate": 2e-3,
+        "q_lambda": 0.95,
     },
     ("ppo", "Pendulum"): {
         "n_agents": 512,

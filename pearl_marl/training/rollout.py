@@ -7,7 +7,7 @@ are divided among workers, the rollout is the same.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -17,7 +17,7 @@ from torch import Tensor
 from pearl_marl.devices import Device
 from pearl_marl.policies.network import MASKED
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.actor_critic import ActorCritic, Inputs
+from pearl_marl.training.actor_critic import Inputs
 from pearl_marl.training.agents import Agents, team_rewards
 
 CRITIC_ROWS = 16_384
@@ -38,8 +38,15 @@ class RolloutBuffer(NamedTuple):
 
     def flat(self) -> RolloutBuffer:
         """Return steps and agents as one axis."""
-        inputs, *others = self
-        return RolloutBuffer(inputs.flat(), *(tensor.flatten(0, 1) for tensor in others))
+        return self.map(lambda tensor: tensor.flatten(0, 1))
+
+    def pick(self, rows: Any) -> RolloutBuffer:
+        """Return some rows."""
+        return self.map(lambda tensor: tensor[rows])
+
+    def map(self, function: Callable[[Tensor], Tensor]) -> RolloutBuffer:
+        """Return what a function makes of every tensor."""
+        return RolloutBuffer.of([None if tensor is None else function(tensor) for tensor in self.tensors()])
 
     def tensors(self) -> list[Tensor | None]:
         """Return all tensors, with None for inputs that the environment does not have."""
@@ -53,9 +60,11 @@ class RolloutBuffer(NamedTuple):
 
 
 class RolloutWorker:
-    """Gathers with the agents of some blocks, by default all: see ``ppo.PPOSettings``.
+    """Gathers with the agents of some blocks, by default all: see ``settings.BlockSettings``.
 
-    The weights of the model, by which they act, may change between rollouts.
+    The weights of the model, by which they act, may change between rollouts. It is an
+    :class:`~pearl_marl.training.actor_critic.ActorCritic` or
+    :class:`~pearl_marl.training.action_values.ActionValues`.
     """
 
     def __init__(
@@ -63,7 +72,7 @@ class RolloutWorker:
         spec: EnvSpec,
         device: str | Device,
         settings: Any,
-        model: ActorCritic,
+        model: Any,
         blocks: range | None = None,
     ) -> None:
         self.spec, self.settings, self.model = spec, settings, model
@@ -99,7 +108,7 @@ class RolloutWorker:
             actions.append(chosen)
             _, rewards[t], terminations[t], truncations[t], final_obs[t] = agents.step(taken)
         chosen = torch.stack(actions)
-        log_probs, _ = model.evaluate(torch.stack(outputs), chosen)
+        log_probs = model.log_probs(torch.stack(outputs), chosen)
         ended = over = terminations | truncations
         wanted = team_rewards(rewards, self.spec.agents, settings.rewards) * settings.reward_scale
         if settings.rewards != "own":  # what the others still earn counts until the whole world ends
@@ -107,7 +116,7 @@ class RolloutWorker:
             worlds = left.reshape(steps, -1, self.spec.agents).all(2)
             over = worlds.repeat_interleave(self.spec.agents, 1)
         decides = torch.stack(acting)
-        values = self._values(inputs, decides)
+        values = self.expected(inputs, decides)
         cut = truncations & ~terminations
         # Only the time limit ended these episodes: what was to come counts. The device tells neither the
         # state that a central critic would be given then, nor the agent that would have been on turn.
@@ -115,8 +124,9 @@ class RolloutWorker:
         cut &= ~unknown
         unknown |= self.excluded() & decides[:-1]
         if cut.any():
-            final = inputs.pick(slice(0, -1))._replace(obs=final_obs)
-            wanted += settings.discount * self._values(final, cut)
+            # Nor does it tell the masks: all actions are allowed.
+            final = inputs.pick(slice(0, -1))._replace(obs=final_obs, masks=None)
+            wanted += settings.discount * self.expected_at_ends(final, cut)
         trajectories = Trajectories(wanted, values, over, decides, unknown)
         advantages, mask = estimated_advantages(trajectories, settings.discount, settings.gae_lambda)
         inputs = inputs.pick(slice(0, -1))
@@ -134,10 +144,12 @@ class RolloutWorker:
 
     def decide(self, inputs: Inputs, _: int) -> Tensor:
         """Return the policy's outputs for the rollout's step of that number."""
+        outputs: Tensor
         if not self.spec.turns:
-            if len(self.blocks) == 1:
-                return self.model.outputs(inputs)
-            return torch.cat([self.model.outputs(inputs.pick(block)) for block in self.blocks])
+            if len(self.blocks) > 1:
+                return torch.cat([self.model.outputs(inputs.pick(block)) for block in self.blocks])
+            outputs = self.model.outputs(inputs)
+            return outputs
         rows = self.agents.acting.nonzero()[:, 0]  # the others are asked nothing
         outputs = torch.full((len(inputs.obs), self.model.policy.outputs), MASKED, device=self.where)
         outputs[rows] = self.model.outputs(inputs.pick(rows))
@@ -150,8 +162,17 @@ class RolloutWorker:
         noise = torch.empty(size, device=self.where)
         for number, block in zip(self.numbers, self.blocks, strict=True):
             random = torch.Generator(self.where).manual_seed(seed_of(settings.seed, rollout, number))
-            noise[:, block] = self.model.noise((size[0], block.stop - block.start, size[2]), random)
+            shape = (size[0], block.stop - block.start, size[2])
+            noise[:, block] = self.model.noise(shape, random, rollout / settings.iterations)
         return noise
+
+    def expected(self, inputs: Inputs, decides: Tensor) -> Tensor:
+        """Return what the critic expects where agents decide; a row more than the rollout has steps."""
+        return self._values(inputs, decides)
+
+    def expected_at_ends(self, inputs: Inputs, cut: Tensor) -> Tensor:
+        """Return what the critic expects of where time limits cut episodes off."""
+        return self._values(inputs, cut)
 
     def _values(self, inputs: Inputs, wanted: Tensor) -> Tensor:
         """Return what the critic expects where it is wanted, else 0; a row a step and a column an agent."""

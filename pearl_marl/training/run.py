@@ -21,7 +21,7 @@ from pearl_marl.evaluation.matches import Match
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies.loading import random_policy
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training import dqn, ppo, q_learning, self_play
+from pearl_marl.training import dqn, ppo, pqn, q_learning, self_play
 from pearl_marl.training.presets import PRESETS
 from pearl_marl.training.run_folder import POLICY, RunFolder
 from pearl_marl.training.trainer import threads_for
@@ -31,6 +31,7 @@ ALGORITHMS: dict[str, Any] = {
     "mappo": ppo.MAPPO,
     "self-play": self_play.SelfPlay,
     "dqn": dqn.DQN,
+    "pqn": pqn.PQN,
     "q-learning": q_learning.QLearning,
 }
 SETTINGS: dict[str, Any] = {
@@ -38,17 +39,21 @@ SETTINGS: dict[str, Any] = {
     "mappo": ppo.PPOSettings,
     "self-play": self_play.SelfPlaySettings,
     "dqn": dqn.DQNSettings,
+    "pqn": pqn.PQNSettings,
     "q-learning": q_learning.QLearningSettings,
 }
 
 ALIASES = {"ippo": "ppo", "iql": "dqn"}
 """Names of the algorithms where they learn for every agent of a world."""
 
+SHARDED = "ppo", "pqn"
+"""Algorithms whose agents several processes may step."""
+
 OPTIONS = ("n_agents", "iterations", "seed")
 """Settings that ``pearl train`` has options of their own for; others are given by ``--set``."""
 
 BLOCKS = 8
-"""Into how many blocks agents are divided for shards, unless said otherwise: see ``ppo.PPOSettings``."""
+"""Into how many blocks agents are divided for shards, unless said otherwise: see ``BlockSettings``."""
 
 _UNUSABLE = ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError
 """Errors that trainers raise where a checkpoint does not hold what it should."""
@@ -92,8 +97,9 @@ def settings_for(
         settings = dataclasses.replace(settings, n_agents=n)
     if shards is None:
         return settings
-    if algorithm != "ppo":
-        raise ArgumentError(f"{algorithm} does not learn with --shards: leave it out, or use ppo")
+    if algorithm not in SHARDED:
+        possible = " or ".join(SHARDED)
+        raise ArgumentError(f"{algorithm} does not learn with --shards: leave it out, or use {possible}")
     if "blocks" in changes:
         return settings
     return dataclasses.replace(settings, blocks=min(BLOCKS, settings.n_agents))
@@ -202,6 +208,11 @@ class TrainingRun:
     def rows(self) -> list[dict[str, Any]]:
         """The metrics so far, a dict for each evaluation."""
         return self.folder.rows
+
+    @property
+    def done(self) -> int:
+        """Iterations so far."""
+        return int(self.trainer.done)
 
     @property
     def finished(self) -> bool:
@@ -326,11 +337,11 @@ def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> tuple[float, 
     """
     policy.seed(seed)
     if spec.turns:
-        match = Match(spec, policy.choose, random_policy(spec, seed), n, openings=0, seed=seed)
+        match = Match(spec, policy.function, random_policy(spec, seed), n, openings=0, seed=seed)
         evaluation: Evaluation = match
         counted = match.seats
     else:
-        evaluation, counted = Evaluation(spec, policy.choose, n, seed=seed), np.ones(n, np.bool_)
+        evaluation, counted = Evaluation(spec, policy.function, n, seed=seed), np.ones(n, np.bool_)
     for _ in evaluation.run():
         pass
     returns = evaluation.returns[counted]

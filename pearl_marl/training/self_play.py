@@ -91,6 +91,8 @@ class SelfPlay(ppo.PPO):
     def __init__(self, spec: EnvSpec, device: Any, settings: SelfPlaySettings) -> None:
         if spec.agents < 2:
             raise ArgumentError(f"{spec.name} has one agent in a world, and self-play takes two: use ppo")
+        if settings.memory != "none":
+            raise ArgumentError("self-play learns no policies with memory: leave it out, or use ppo")
         super().__init__(spec, device, settings)
         self.league: dict[int, dict[str, Tensor]] = {}
         self.worker.league = self.league

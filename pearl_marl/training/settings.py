@@ -91,6 +91,32 @@ class TrainerSettings:
                 raise ArgumentError(f"setting {setting.name!r} is {value!r}; it must be {possible}")
 
 
+class BlockSettings(TrainerSettings):
+    """Settings of an algorithm that learns from rollouts.
+
+    Agents are in ``blocks``, which the policy is given one at a time, each with random numbers of its own.
+    The result depends on the number of blocks, and not on the number of workers that share them.
+    """
+
+    n_agents: int
+    rollout_length: int
+    blocks: int
+    memory: str
+    chunk_length: int
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.memory != "none" and self.rollout_length % self.chunk_length:
+            raise ArgumentError(
+                f"setting 'chunk_length' is {self.chunk_length}; with a memory it must divide "
+                f"rollout_length, {self.rollout_length}"
+            )
+        if self.blocks > self.n_agents:
+            raise ArgumentError(
+                f"setting 'blocks' is {self.blocks}; it must be 1 to {self.n_agents}, the number of agents"
+            )
+
+
 def check_memory(
     spec: EnvSpec, settings: Any, device: Any, names: tuple[str, ...], observations: int, others: int
 ) -> None:

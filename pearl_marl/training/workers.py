@@ -20,7 +20,7 @@ from pearl_marl.devices.ray import Packed, pack, unpacked
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.policies.network import Array
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training.actor_critic import ActorCritic
+from pearl_marl.training.recurrent import RecurrentWorker
 from pearl_marl.training.rollout import RolloutBuffer, RolloutWorker, block_edges
 
 RESOURCES: dict[str, dict[str, float]] = {"cuda": {"GPU": 1}, "xdma": {"fpga": 1}, "serial": {"fpga": 1}}
@@ -36,23 +36,33 @@ class Worker:
     def begin(self, packed: Packed) -> SavedState:
         """Make the agents; return their state. In the parcel are arguments of :class:`RolloutWorker`."""
         torch.set_num_threads(1)
-        spec, device, settings, blocks = unpacked(packed)
-        self.model = ActorCritic(spec, settings.width, settings.sharing)
-        self.worker = RolloutWorker(spec, device, settings, self.model, blocks)
+        spec, device, settings, blocks, model = unpacked(packed)
+        self.model = model.of(spec, settings)
+        gathers = RecurrentWorker if self.model.policy.remembers else RolloutWorker
+        self.worker: Any = gathers(spec, device, settings, self.model, blocks)
         self.model.to(self.worker.where)
         return self.worker.agents.state()
 
     def gather(
-        self, rollout: int, weights: dict[str, Array], state: SavedState | None
-    ) -> tuple[list[Array | None], SavedState]:
+        self, rollout: int, weights: dict[str, Array], state: AgentsState | None
+    ) -> tuple[list[Array | None], AgentsState]:
         """Return a rollout's tensors, and the agents' state after it; they begin at ``state``, if any."""
+        remembers = self.model.policy.remembers
         if state is not None:
-            self.worker.agents.load(state)
+            saved, memory = state
+            self.worker.agents.load(saved)
+            if remembers:
+                self.worker.memory = torch.tensor(memory, device=self.worker.where)
         # Copies: arrays out of the object store cannot be written to.
         self.model.load_state_dict({name: torch.tensor(array) for name, array in weights.items()})
         tensors = self.worker.gather(rollout).tensors()
         arrays = [None if tensor is None else tensor.cpu().numpy() for tensor in tensors]
-        return arrays, self.worker.agents.state()
+        memory = self.worker.memory.cpu().numpy() if remembers else None
+        return arrays, (self.worker.agents.state(), memory)
+
+
+AgentsState = tuple[SavedState, Array | None]
+"""All that agents' continuation depends on: their state, and what they remember, if anything."""
 
 
 class RayWorkers:
@@ -68,7 +78,7 @@ class RayWorkers:
         There is no Ray, or no machine for a worker.
     """
 
-    def __init__(self, spec: EnvSpec, device: str, settings: Any, model: ActorCritic, shards: int) -> None:
+    def __init__(self, spec: EnvSpec, device: str, settings: Any, model: Any, shards: int) -> None:
         if shards < 1:
             raise ArgumentError(f"--shards is {shards}; it must be at least 1, or left out for this process")
         if shards > settings.blocks:
@@ -86,13 +96,14 @@ class RayWorkers:
         self._put = ray.put
         with ThreadPoolExecutor(shards) as pool:  # each takes seconds
             started = list(pool.map(self._start, range(shards)))
+        self.memory = torch.zeros(settings.n_agents, model.memory_size)  # of policies that remember
         self._actors = [actor for actor, _ in started]
         self._states = [state for _, state in started]
         self._behind = [False] * shards  # whether an actor's agents have to be given the state noted here
 
     def _start(self, i: int) -> tuple[Any, SavedState]:
         """Return an actor for a shard, and its agents' first state."""
-        sent = pack(self.spec, self.device, self.settings, self._blocks[i])
+        sent = pack(self.spec, self.device, self.settings, self._blocks[i], type(self.model))
         for attempt in itertools.count(1):
             try:
                 actor = cluster.start_actor(Worker, resources=self._resources)
@@ -107,7 +118,7 @@ class RayWorkers:
         under_way = [self._ask(i, rollout, weights) for i in range(len(self._actors))]
         # Should it fail, all begin at the states noted here, whichever were done.
         self._behind = [True] * len(self._actors)
-        gathered: list[tuple[list[Array | None], SavedState]] = []
+        gathered: list[tuple[list[Array | None], AgentsState]] = []
         for i, asked in enumerate(under_way):
             for attempt in itertools.count(1):
                 try:
@@ -119,7 +130,10 @@ class RayWorkers:
                     cluster.kill(self._actors[i])
                     self._actors[i], _ = self._start(i)
                     asked = self._ask(i, rollout, weights)
-        self._states = [state for _, state in gathered]
+        self._states = [state for _, (state, _) in gathered]
+        for i, (_, (_, memory)) in enumerate(gathered):
+            if memory is not None:
+                self.memory[self._rows(i)] = torch.tensor(memory)
         self._behind = [False] * len(self._actors)
         return RolloutBuffer.of(
             [self._joined(part) for part in zip(*(share for share, _ in gathered), strict=True)]
@@ -139,8 +153,13 @@ class RayWorkers:
                 f"the worker of shard {i} was lost {attempt} times {when}, last by: {why}{advice}"
             ) from error
 
+    def _rows(self, i: int) -> slice:
+        """Return which agents are a shard's."""
+        edges = block_edges(self.settings, self._blocks[i])
+        return slice(edges[0], edges[-1])
+
     def _ask(self, i: int, rollout: int, weights: Any) -> Any:
-        state = self._states[i] if self._behind[i] else None
+        state = (self._states[i], self.memory[self._rows(i)].numpy()) if self._behind[i] else None
         return self._actors[i].gather.remote(rollout, weights, state)
 
     @property
@@ -154,6 +173,6 @@ class RayWorkers:
 
     def load(self, state: SavedState) -> None:
         """Go on from what :meth:`state` returned, or that of this process's own agents."""
-        edges = [block_edges(self.settings, blocks) for blocks in self._blocks]
-        self._states = [state.cut(self.spec, slice(edge[0], edge[-1])) for edge in edges]
+        shards = range(len(self._blocks))
+        self._states = [state.cut(self.spec, self._rows(i)) for i in shards]
         self._behind = [True] * len(self._states)

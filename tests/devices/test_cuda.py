@@ -112,12 +112,13 @@ def test_rollouts_are_those_of_the_cpu(name: str, results: str) -> None:
     np.testing.assert_array_equal(on_host(ours.in_episode), native.in_episode)
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "dqn", "q-learning"])
+@pytest.mark.parametrize("algorithm", ["ppo", "pqn", "dqn", "q-learning"])
 def test_trainers_work_where_the_agents_are(algorithm: str) -> None:
     """With the numbers of a training on the host, where the simulator computes as that does."""
     training = importlib.import_module("pearl_marl.training.run")
     small: dict[str, dict[str, Any]] = {
         "ppo": {"rollout_length": 4, "minibatch": 8, "blocks": 2},
+        "pqn": {"rollout_length": 4, "minibatch": 8, "blocks": 2},
         "dqn": {"memory": 3, "warm_up": 1, "minibatch": 8},
         "q-learning": {},
     }

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from pearl_marl.envs import get_spec
-from pearl_marl.training import dense_ppo
+from pearl_marl.training import halves
 from pearl_marl.training.dense_ppo import CompiledGradients, fits
 from pearl_marl.training.rollout import RolloutBuffer
 from pearl_marl.training.run import ALGORITHMS, settings_for
@@ -39,7 +39,7 @@ def compiled_and_wanted(
 ) -> list[tuple[Tensor, list[Tensor]]]:
     settings, results = trainer.settings, []
     compiled = CompiledGradients(trainer.model, samples, settings.clip, settings.entropy)
-    for gradients in (compiled, partial(trainer.gradients, samples)):
+    for gradients in (compiled, partial(trainer.autograd, samples)):
         figures = gradients(rows)
         results.append(
             (figures.float(), [parameter.grad.clone() for parameter in trainer.model.parameters()])
@@ -58,11 +58,11 @@ def compiled_and_wanted(
         ("mappo", "LevelBasedForaging"),
     ],
 )
-@pytest.mark.parametrize("halves", [False, True])
+@pytest.mark.parametrize("in_halves", [False, True])
 def test_gradients_are_those_of_pytorch(
-    algorithm: str, env_id: str, halves: bool, monkeypatch: pytest.MonkeyPatch
+    algorithm: str, env_id: str, in_halves: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(dense_ppo, "SECOND_THREAD", 1 if halves else 1 << 30)
+    monkeypatch.setattr(halves, "SECOND_THREAD", 1 if in_halves else 1 << 30)
     found, wanted = compiled_and_wanted(*trainer_with_samples(algorithm, env_id))
     torch.testing.assert_close(found, wanted, rtol=1e-4, atol=2e-5)
     assert 0.1 < float(found[0][3]) < 0.9, "ratios were to be clipped, and others not"

@@ -85,7 +85,7 @@ def test_numbers_reach_both_ends_of_their_field() -> None:
 
 def test_who_chooses_among_numbers_refuses_fields() -> None:
     with pytest.raises(
-        ArgumentError, match=r"dqn chooses among numbered actions, and Rover's are in Multi.*use ppo"
+        ArgumentError, match=r"action values are of numbered actions, and Rover's are in Multi.*use ppo"
     ):
         trained.NetworkPolicy(ROVER, "values", 8)
     with pytest.raises(

@@ -374,7 +374,7 @@ def test_games_of_turns_are_evaluated_against_random_players() -> None:
         seed = staticmethod(lambda seed: None)
 
         @staticmethod
-        def choose(obs: Any, masks: Any) -> Any:
+        def function(obs: Any, masks: Any) -> Any:
             return np.where(masks.any(1), np.maximum(obs % 4, 1) - 1, 0)
 
     mean, _ = training.evaluate(Perfect, NIM, 400)

@@ -45,6 +45,13 @@ SET = {
         "blocks=0": "an integer from 1 to",
         "blocks=2000": "1 to 512",
     },
+    "pqn": {
+        "rollout_length=0": "an integer from 1 to",
+        "q_lambda=1.5": "a number from 0 to 1",
+        "exploration_fraction=0": "a number above 0 to 1",
+        "blocks=2000": "1 to 512",
+        "memory=lstm": "one of none, gru",
+    },
     "dqn": {
         "memory=0": "an integer from 1 to",
         "updates=0": "an integer from 1 to",
@@ -137,9 +144,9 @@ def test_what_is_set(pearl: Pearl, algorithm: str, given: str, words: str, tmp_p
     env = "CliffWalking" if algorithm == "q-learning" else "CartPole"
     sentence = refused(pearl, tmp_path, env, "--algo", algorithm, "--set", given)
     name, _, value = given.partition("=")
-    shown = {"NaN": "nan", "Infinity": "inf", "-1e999": "-inf", "high": "'high'", "true": "True"}.get(
-        value, value
-    )
+    read = {"NaN": "nan", "Infinity": "inf", "-1e999": "-inf", "true": "True"}
+    read |= {word: repr(word) for word in ("high", "lstm")}
+    shown = read.get(value, value)
     option = f"--{name.replace('_', '-')}" if name in training.OPTIONS else f"--set {name}"
     # What depends on another setting is told by the settings themselves.
     told = (f"{option} is {shown}; it must", f"setting '{name}' is {shown}; it must")

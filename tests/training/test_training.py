@@ -36,6 +36,7 @@ EVALUATED = 50
 
 SMALL: dict[str, dict[str, Any]] = {
     "ppo": {"n_agents": 32, "rollout_length": 8, "iterations": 12, "minibatch": 64},
+    "pqn": {"n_agents": 32, "rollout_length": 8, "iterations": 12, "minibatch": 64},
     "dqn": {
         "n_agents": 16,
         "iterations": 40,
@@ -49,6 +50,7 @@ SMALL: dict[str, dict[str, Any]] = {
 }
 
 OF_WORLDS: dict[str, tuple[str, dict[str, Any]]] = {
+    "pqn": ("LevelBasedForaging", {**SMALL["pqn"], "rewards": "sum", "sharing": "indicator"}),
     "mappo": ("LevelBasedForaging", {**SMALL["ppo"], "rewards": "sum", "sharing": "none"}),
     "self-play": ("ConnectFour", {**SMALL["ppo"], "join_every": 2}),
 }
@@ -229,8 +231,8 @@ def test_ppo_balances_the_pole(tmp_path: Path) -> None:
 @pytest.mark.parametrize("env", ["CartPole", "Taxi", "Blackjack", "Pendulum"])
 @pytest.mark.parametrize("algorithm", SMALL)
 def test_every_kind_of_space_is_trained_or_refused(algorithm: str, env: str, tmp_path: Path) -> None:
-    impossible = {("dqn", "Pendulum"), ("q-learning", "Pendulum"), ("q-learning", "CartPole")}
-    if (algorithm, env) in impossible:
+    of_numbers = algorithm in ("pqn", "dqn", "q-learning") and env == "Pendulum"
+    if of_numbers or (algorithm, env) == ("q-learning", "CartPole"):
         with pytest.raises(ArgumentError, match=env):
             run(algorithm, env, tmp_path, **SMALL[algorithm])
         assert not any(tmp_path.iterdir())
@@ -267,9 +269,16 @@ with run.claimed():
 """
 
 
-@pytest.mark.parametrize("algorithm", sampled([*SMALL, *OF_WORLDS], ("ppo", "dqn", "self-play")))
-def test_a_killed_run_goes_on_as_if_nothing_had_been(algorithm: str, tmp_path: Path) -> None:
-    env, given = OF_WORLDS[algorithm] if algorithm in OF_WORLDS else ("FrozenLake", SMALL[algorithm])
+KILLED: dict[str, tuple[str, str, dict[str, Any]]] = {
+    **{algorithm: (algorithm, "FrozenLake", given) for algorithm, given in SMALL.items()},
+    **{algorithm: (algorithm, *case) for algorithm, case in OF_WORLDS.items()},
+    "memory": ("ppo", "FrozenLake", {**SMALL["ppo"], "memory": "gru", "chunk_length": 4}),
+}
+
+
+@pytest.mark.parametrize("name", sampled([*KILLED], ("ppo", "dqn", "self-play")))
+def test_a_killed_run_goes_on_as_if_nothing_had_been(name: str, tmp_path: Path) -> None:
+    algorithm, env, given = KILLED[name]
     whole = run(algorithm, env, tmp_path / "whole", **given)
     killed = tmp_path / "killed"
     command = [sys.executable, "-c", ENDLESS, algorithm, env, str(killed), repr(given)]
@@ -339,7 +348,7 @@ def same(one: Any, other: Any) -> bool:
 @pytest.mark.parametrize(
     ("algorithm", "given", "words"),
     [
-        ("sarsa", {}, "'sarsa'.*'ppo', 'mappo', 'self-play', 'dqn', 'q-learning', 'ippo', 'iql'"),
+        ("sarsa", {}, "'sarsa'.*'ppo', 'mappo', 'self-play', 'dqn', 'pqn', 'q-learning', 'ippo', 'iql'"),
         ("ppo", {"n_agent": 5}, "--set n_agent: .*'n_agents'"),
         ("ppo", {"rollout_length": 1.5}, "--set rollout_length is 1.5"),
         ("dqn", {"discount": -1}, "--set discount is -1"),

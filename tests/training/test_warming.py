@@ -16,6 +16,7 @@ from pearl_marl.training.warming import warm_training
         ("ppo", "Pendulum", {"rollout_length": 2}),
         ("ppo", "LevelBasedForaging", {"rollout_length": 2}),
         ("mappo", "LevelBasedForaging", {"rollout_length": 2}),
+        ("pqn", "Blackjack", {"rollout_length": 2}),
         ("dqn", "Blackjack", {"warm_up": 0}),
     ],
 )

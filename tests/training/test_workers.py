@@ -72,6 +72,24 @@ def test_shards_of_any_size_go_on_with_what_a_process_began(alone: Any) -> None:
     assert second.figures() == alone[1]
 
 
+def test_memories_travel_with_the_agents() -> None:
+    """Two shards, one of which is lost between rollouts."""
+    remembering = {"memory": "gru", "chunk_length": 10, "width": 8}
+    one, several = trainer(None, **remembering), trainer(2, **remembering)
+    for _ in range(2):
+        one.iterate()
+    several.iterate()
+    ray.kill(several.worker._actors[1])
+    several.iterate()
+    assert_same(several, one)
+    assert torch.equal(several.state()["memory"], one.state()["memory"])
+    again = trainer(1, **remembering)
+    again.load(several.state())
+    for run in (one, again):
+        run.iterate()
+    assert_same(again, one)
+
+
 def test_workers_lost_between_rollouts_and_within(alone: Any) -> None:
     run = trainer(2)
     run.iterate()

@@ -9,7 +9,7 @@ from pearl_marl.benchmark.watch import Watch
 from pearl_marl.envs import get_spec
 from pearl_marl.training.run import ALGORITHMS
 
-FIRST = {"ppo": 1, "dqn": 11}
+FIRST = {"ppo": 1, "pqn": 1, "dqn": 11}
 """Iterations after which a trainer has run all of its code, the warm-up of DQN included."""
 
 
@@ -25,5 +25,5 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     watch.start()
     while trainer.done < settings.iterations:
         trainer.iterate()
-        if watch(trainer.agent_steps, trainer.policy.choose):
+        if watch(trainer.agent_steps, trainer.policy.function):
             return

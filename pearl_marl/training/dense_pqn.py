@@ -1,0 +1,92 @@
+"""The gradients of PQN's loss, compiled: by all weights of a small network, in one pass over a minibatch.
+
+They are those that autograd finds for ``PQN.autograd``. The networks are those of
+:mod:`pearl_marl.policies.dense`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from torch import Tensor
+
+from pearl_marl.compiler.loading import compiled_loop
+from pearl_marl.policies import dense
+from pearl_marl.policies.dense import (
+    ROWS,
+    Layers,
+    Observed,
+    backward_rows,
+    forward_rows,
+    gradient_sums,
+    padded,
+    store_gradients,
+    tile_of,
+)
+from pearl_marl.training.action_values import ActionValues
+from pearl_marl.training.halves import Halves
+from pearl_marl.training.rollout import RolloutBuffer
+
+Array = npt.NDArray[Any]
+
+
+def _gradients(
+    layers: Layers,
+    gradients: Layers,
+    inputs: Observed,
+    actions: Array,
+    returns: Array,
+    rows: Array,
+    share: float,
+) -> float:
+    """Compute the gradients of the squared errors of some rows; return their loss.
+
+    ``share`` is that of a row in the loss.
+    """
+    n, weights, tile, total = len(rows), padded(layers), tile_of(layers), gradient_sums(gradients)
+    out, loss = len(weights.bias3), 0.0
+    for first in range(0, n, ROWS):
+        some = rows[first : first + ROWS]
+        forward_rows(layers, weights, inputs, some, tile)
+        for s in range(len(some)):
+            row, start = some[s], s * out
+            error = tile.outputs[start + actions[row]] - returns[row]
+            loss += 0.5 * error * error
+            tile.outputs[start : start + out] = 0
+            tile.outputs[start + actions[row]] = error * share
+        tile.outputs[len(some) * out :] = 0
+        backward_rows(layers, weights, inputs, some, tile, total, gradients)
+    store_gradients(total, gradients)
+    return loss * share
+
+
+_gradients_of = compiled_loop(_gradients, dense)
+
+
+class CompiledGradients:
+    """Finds gradients for minibatches of a rollout, whose steps and agents are one axis.
+
+    Called with the rows of a minibatch, it leaves the gradients with the model's parameters, and returns what
+    ``PQN.autograd`` returns.
+    """
+
+    def __init__(self, model: ActionValues, rollout: RolloutBuffer) -> None:
+        network: Any = model.policy.network
+        inputs = rollout.inputs
+        self._layers = network.layers()
+        self._inputs = network.observed(inputs.obs, inputs.position)
+        self._actions = rollout.actions.contiguous().numpy()
+        self._returns = rollout.returns.contiguous().numpy()
+        self._halves = Halves(model, network.hidden.in_features, network.layers)
+
+    def __call__(self, rows: Tensor) -> Tensor:
+        """Find the gradients of some rows."""
+        share = 1 / len(rows)
+
+        def half(some: Array, gradients: Layers) -> Array:
+            samples = self._inputs, self._actions, self._returns
+            return np.array([_gradients_of()(self._layers, gradients, *samples, some, share)])
+
+        return self._halves.find(rows.numpy(), half)

@@ -1,0 +1,135 @@
+"""What learners from rollouts have in common: gather one, learn from it in minibatches, forget it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from pearl_marl.spec import EnvSpec
+from pearl_marl.training.adam import Adam
+from pearl_marl.training.agents import observed_spec
+from pearl_marl.training.recurrent import RecurrentWorker, chunked
+from pearl_marl.training.restoring import copied
+from pearl_marl.training.rollout import RolloutBuffer, RolloutWorker
+from pearl_marl.training.settings import check_memory
+from pearl_marl.training.trainer import Trainer
+from pearl_marl.training.workers import RayWorkers
+
+
+class OnPolicyTrainer(Trainer):
+    """A run of an algorithm that learns from rollouts: :meth:`iterate` is one update.
+
+    Without a memory it learns from rows of a rollout, whose steps and agents are one axis; with one, from
+    columns of :func:`~pearl_marl.training.recurrent.chunked`.
+
+    It learns where the device has its observations: with ``"cuda"``, on the GPU. This process gathers
+    rollouts, or as many of Ray's as ``shards`` says; the result is the same.
+    """
+
+    gathers: type[RolloutWorker] = RolloutWorker
+    """The class that gathers rollouts in this process."""
+
+    losses: tuple[str, ...]
+    """The names of what :meth:`gradients` returns."""
+
+    max_grad_norm: float
+
+    def __init__(self, spec: EnvSpec, device: Any, settings: Any, shards: int | None = None) -> None:
+        # Of every step at least an observation, and six numbers more.
+        rows = settings.n_agents * settings.rollout_length
+        names = "n_agents", "rollout_length"
+        check_memory(observed_spec(spec, device), settings, device, names, rows, 6 * 4 * rows)
+        torch.manual_seed(settings.seed)
+        self.model = self.made(spec, settings)
+        self.worker: Any
+        if shards is None:
+            gathers = RecurrentWorker if self.model.policy.remembers else self.gathers
+            self.worker = gathers(spec, device, settings, self.model)
+            agents = self.worker.agents
+        else:
+            agents = self.worker = RayWorkers(spec, device, settings, self.model, shards)
+        super().__init__(settings, agents, self.worker.where)
+        self.steps_per_iteration = settings.rollout_length
+        self.model.to(self.where)
+        self.policy = self.model.policy
+        self.optimiser = Adam(self.model.parameters(), epsilon=1e-5, max_grad_norm=self.max_grad_norm)
+        self.components = {"model": self.model, "optimiser": self.optimiser}
+        self.last_losses = torch.zeros(len(self.losses), device=self.where)
+
+    def made(self, spec: EnvSpec, settings: Any) -> Any:
+        """Return the model that is learned."""
+        raise NotImplementedError
+
+    def gradients(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
+        """Return a function of some of a rollout's rows, or chunks.
+
+        It leaves the gradients of their loss with the parameters, and returns the losses.
+        """
+        raise NotImplementedError
+
+    def forward(self, samples: RolloutBuffer, minibatch: Tensor) -> tuple[Tensor, Tensor, RolloutBuffer]:
+        """Return the model's outputs and values for rows, or for all steps of chunks; and these samples."""
+        if not self.policy.remembers:
+            batch = samples.pick(minibatch)
+            return *self.model(batch.inputs), batch
+        batch = samples.pick((slice(None), minibatch))
+        outputs, values, _ = self.model.unrolled(batch.inputs)
+        batch = batch.flat()
+        rows = batch.loss_mask.nonzero()[:, 0]
+        return outputs[rows], values[rows], batch.pick(rows)
+
+    def update(self) -> None:
+        """Gather a rollout and learn from it."""
+        rollout = self.worker.gather(self.done)
+        self.count(rollout)
+        samples = rollout.flat()
+        rows = samples.loss_mask.nonzero()[:, 0]
+        if len(rows):
+            inputs = samples.inputs
+            self.model.see(inputs if len(rows) == len(inputs.obs) else inputs.pick(rows))
+            if self.policy.remembers:
+                samples = chunked(rollout, self.settings.chunk_length)
+                rows = samples.loss_mask.any(0).nonzero()[:, 0]
+            self.learn(samples, rows)
+        self.done += 1
+
+    def learn(self, samples: RolloutBuffer, rows: Tensor) -> None:
+        """Learn from these rows, or chunks, of a rollout."""
+        settings, gradients, losses = self.settings, self.gradients(samples), []
+        rate = settings.learning_rate * (1 - self.done / settings.iterations)
+        for minibatch in self._minibatches(rows):
+            losses.append(gradients(minibatch))
+            self.optimiser.step(rate)
+        self.last_losses = torch.stack(losses).mean(0)
+        self.check(self.last_losses)
+
+    def count(self, rollout: RolloutBuffer) -> None:
+        """Count the episodes that ended."""
+        self.episodes.add(rollout.rewards, rollout.ended)
+
+    def figures(self) -> dict[str, float | None]:
+        """Return figures for the metrics: of episodes since they were last asked for, and the last losses."""
+        return {**super().figures(), **dict(zip(self.losses, self.last_losses.tolist(), strict=True))}
+
+    def state(self) -> dict[str, Any]:
+        """Return all that the continuation depends on."""
+        memory = {"memory": self.worker.memory} if self.policy.remembers else {}
+        return {**super().state(), **memory}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Go on from what :meth:`state` returned."""
+        super().load(state)
+        if self.policy.remembers:
+            copied("memory of agents", self.worker.memory, state["memory"], -1, 1)
+
+    def _minibatches(self, rows: Tensor) -> Iterator[Tensor]:
+        settings = self.settings
+        size = settings.minibatch
+        if self.policy.remembers:
+            size = max(size // settings.chunk_length, 1)
+        for _ in range(settings.epochs):
+            order = torch.randperm(len(rows), generator=self.random, device=self.where)
+            yield from torch.split(rows[order], size)

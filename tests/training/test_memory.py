@@ -1,0 +1,229 @@
+"""Policies with memory: what they remember, where they forget it, and that learning sees the same."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
+import torch
+
+from pearl_marl import EnvSpec, get_spec
+from pearl_marl.errors import ArgumentError
+from pearl_marl.evaluation.matches import Match
+from pearl_marl.evaluation.run import Evaluation
+from pearl_marl.policies import trained
+from pearl_marl.policies.loading import load_policy, random_policy
+from pearl_marl.policies.memory import Memory, Recall
+from pearl_marl.policies.quantizing import quantized
+from pearl_marl.training.recurrent import chunked
+from pearl_marl.training.run import ALGORITHMS, SETTINGS, evaluate, settings_for
+
+from ..toy_memory import POSITIONS
+from ..toy_world import MEADOW, NIM
+
+pytestmark = pytest.mark.usefixtures("toys")
+
+LEA = dataclasses.replace(MEADOW, name="Lea", roles=(), golden=MEADOW.golden._replace(masks=None))
+"""Where agents that have ended before their world are stepped, and no masks tell."""
+
+STEPS, AGENTS, SIZE = 12, 5, 8
+
+
+@pytest.fixture
+def memory() -> Memory:
+    torch.manual_seed(0)
+    return Memory(SIZE)
+
+
+def features() -> Any:
+    return torch.randn(STEPS, AGENTS, SIZE, generator=torch.Generator().manual_seed(1))
+
+
+def test_a_memory_is_pytorchs_gru(memory: Memory) -> None:
+    whole = torch.nn.GRU(SIZE, SIZE)
+    whole.load_state_dict({f"{name}_l0": tensor for name, tensor in memory.cell.state_dict().items()})
+    start = torch.rand(AGENTS, SIZE)
+    given = [features().requires_grad_() for _ in range(2)]
+    ours = memory(given[0].flatten(0, 1), Recall(start))
+    theirs, _ = whole(given[1], start[None])
+    torch.testing.assert_close(ours, theirs)
+    for made in (ours, theirs):
+        made.square().sum().backward()
+    torch.testing.assert_close(given[0].grad, given[1].grad)
+
+
+def test_a_memory_is_empty_where_an_episode_begins(memory: Memory) -> None:
+    begins = torch.rand(STEPS, AGENTS, generator=torch.Generator().manual_seed(2)) < 0.3
+    start, given = torch.rand(AGENTS, SIZE), features()
+    found = memory(given.flatten(0, 1), Recall(start, begins))
+    for k in range(AGENTS):
+        edges = [0, *begins[:, k].nonzero()[:, 0].tolist(), STEPS]
+        for first, last in itertools.pairwise(edges):
+            fresh = begins[first, k] if first < STEPS else True
+            before = torch.zeros(1, SIZE) if fresh else start[k : k + 1]
+            if last > first:
+                torch.testing.assert_close(
+                    found[first:last, k : k + 1], memory(given[first:last, k], Recall(before))
+                )
+
+
+def test_a_memory_stays_where_its_agent_does_not_act(memory: Memory) -> None:
+    acts = torch.rand(STEPS, AGENTS, generator=torch.Generator().manual_seed(3)) < 0.5
+    start, given = torch.rand(AGENTS, SIZE), features()
+    found = memory(given.flatten(0, 1), Recall(start, acting=acts))
+    for k in range(AGENTS):
+        due = memory(given[acts[:, k], k], Recall(start[k : k + 1]))
+        torch.testing.assert_close(found[acts[:, k], k : k + 1], due)
+        torch.testing.assert_close(found[-1, k], due[-1, 0])
+
+
+CASES = [
+    (algorithm, spec)
+    for algorithm in ("ppo", "pqn")
+    for spec in (POSITIONS, MEADOW, NIM, get_spec("Seaquest"))
+]
+
+SMALL: dict[str, Any] = {
+    "n_agents": 24,
+    "rollout_length": 24,
+    "chunk_length": 6,
+    "memory": "gru",
+    "width": 16,
+}
+
+
+def small(algorithm: str, spec: EnvSpec, **given: Any) -> Any:
+    return ALGORITHMS[algorithm](spec, "native", SETTINGS[algorithm](**{**SMALL, **given}))
+
+
+@pytest.mark.parametrize(("algorithm", "spec"), CASES, ids=lambda case: getattr(case, "name", case))
+def test_chunks_remember_what_the_rollout_did(algorithm: str, spec: EnvSpec) -> None:
+    """Episodes end within them, agents end before their world, and they take turns."""
+    trainer = small(algorithm, spec)
+    trainer.worker.gather(0)
+    rollout = trainer.worker.gather(1)
+    assert rollout.ended.any() or spec.name == "Seaquest"
+    chunks = chunked(rollout, 6)
+    with torch.no_grad():
+        outputs, values, _ = trainer.model.unrolled(chunks.inputs)
+    inputs = rollout.inputs
+    step = 17  # in the middle of a chunk
+    one = inputs.pick(slice(step, step + 1))._replace(begins=None)
+    with torch.no_grad():
+        due, expects, _ = trainer.model.unrolled(one)
+    columns = slice(2 * 24, 3 * 24)  # of the third chunk
+    torch.testing.assert_close(outputs.reshape(6, 4 * 24, -1)[step - 12, columns], due)
+    torch.testing.assert_close(values.reshape(6, 4 * 24)[step - 12, columns], expects)
+
+
+@pytest.mark.parametrize("spec", [POSITIONS, MEADOW, LEA, NIM], ids=lambda spec: spec.name)
+def test_an_evaluation_remembers_what_a_rollout_does(spec: EnvSpec) -> None:
+    """With equal actions, from the same reset."""
+    trainer = small("pqn", spec, epsilon=0.0, final_epsilon=0.0, seed=5)
+    rollout = trainer.worker.gather(0)
+    remembered = []
+
+    class Noted:
+        def __init__(self) -> None:
+            self.function = trainer.policy.function
+            self.forget = self.function.forget
+
+        def __call__(self, *observed: Any) -> Any:
+            memory = trainer.policy.memory
+            remembered.append(torch.zeros(24, 16) if memory is None else memory.clone())
+            return self.function(*observed)
+
+    evaluation = Evaluation(spec, Noted(), 24, episodes=24 * 40, seed=5)
+    for _ in evaluation.run():
+        if len(remembered) > 24:
+            break
+    torch.testing.assert_close(torch.stack(remembered[:24]), rollout.inputs.memory)
+
+
+def test_gradients_go_back_through_a_chunk_and_no_further() -> None:
+    trainer = small("ppo", POSITIONS, rollout_length=12)
+    chunks = chunked(trainer.worker.gather(0), 6)
+    obs = chunks.inputs.obs.clone().requires_grad_()
+    inputs = chunks.inputs._replace(obs=obs, begins=torch.zeros_like(chunks.inputs.begins))
+    outputs, _, _ = trainer.model.unrolled(inputs)
+    outputs.reshape(6, 48, -1)[-1].sum().backward()
+    assert (obs.grad != 0).any(2).all()
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "pqn"])
+def test_a_run_goes_on_to_equal_weights(algorithm: str) -> None:
+    whole, stopped = small(algorithm, POSITIONS), small(algorithm, POSITIONS)
+    for _ in range(3):
+        whole.iterate()
+    stopped.iterate()
+    again = small(algorithm, POSITIONS)
+    again.load(stopped.state())
+    for _ in range(2):
+        again.iterate()
+    for name, tensor in whole.policy.state_dict().items():
+        assert torch.equal(again.policy.state_dict()[name], tensor), name
+    assert again.worker.memory.any()
+    state = stopped.state()
+    state["memory"] = state["memory"] + 2
+    with pytest.raises(ArgumentError, match="memory of agents has numbers that no training leaves"):
+        again.load(state)
+
+
+def test_a_policys_file_remembers(tmp_path: Path) -> None:
+    trainer = small("pqn", MEADOW)
+    trainer.iterate()
+    trainer.policy.save(tmp_path / "policy.safetensors")
+    again = trained.load(tmp_path)
+    assert again.remembers
+    loaded: Any = load_policy(str(tmp_path), MEADOW)
+    results = [
+        Match(MEADOW, policy, random_policy(MEADOW), 40, seed=3)
+        for policy in (loaded, trainer.policy.function)
+    ]
+    for match in results:
+        for _ in match.run():
+            pass
+    assert results[0].digest == results[1].digest
+    assert evaluate(again, MEADOW, 40) == evaluate(trainer.policy, MEADOW, 40)
+
+
+def test_what_cannot_remember_is_refused(tmp_path: Path) -> None:
+    trainer = small("ppo", POSITIONS)
+    with pytest.raises(ArgumentError, match="the policy has a memory, for which integers have no layer"):
+        quantized(trainer.policy, np.zeros((1, 2), np.float32))
+    with pytest.raises(
+        ArgumentError, match="'chunk_length' is 7; with a memory it must divide rollout_length, 24"
+    ):
+        small("ppo", POSITIONS, chunk_length=7)
+    with pytest.raises(ArgumentError, match="agents with memory share a network"):
+        small("ppo", MEADOW, sharing="none")
+    with pytest.raises(ArgumentError, match="self-play learns no policies with memory"):
+        small("self-play", NIM)
+    about = trainer.policy.about
+    about["memory"] = "lstm"
+    trainer.policy.save(tmp_path / "policy.safetensors")
+    with pytest.raises(ArgumentError, match="has the memory 'lstm'; possible are none, gru"):
+        trained.load(tmp_path)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("algorithm", ["ppo", "pqn"])
+@pytest.mark.parametrize("memory", ["none", "gru"])
+def test_a_pole_whose_velocities_nobody_sees(memory: str, algorithm: str, seed: int) -> None:
+    given = {"n_agents": 512, "iterations": 40, "memory": memory, "minibatch": 512, "seed": seed}
+    settings = settings_for(algorithm, POSITIONS.name, given)
+    if algorithm == "pqn":
+        settings = dataclasses.replace(settings, q_lambda=0.9)
+    trainer = ALGORITHMS[algorithm](POSITIONS, "native", settings)
+    best = 0.0
+    while best < 475 and trainer.done < settings.iterations:
+        trainer.iterate()
+        best = max(best, evaluate(trainer.policy, POSITIONS, 100)[0])
+    assert best >= 475 if memory == "gru" else best < 100

@@ -1,0 +1,89 @@
+"""Many seeds at once: each learns what it would learn alone, and the spread is that of their returns."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pearl_marl.errors import ArgumentError
+
+torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
+training = importlib.import_module("pearl_marl.training.run")
+population = importlib.import_module("pearl_marl.training.population")
+
+SMALL = {"n_agents": 16, "rollout_length": 8, "iterations": 6, "minibatch": 64, "width": 16, "seed": 3}
+
+
+def plan(goal: float | None = None) -> Any:
+    settings = training.settings_for("ppo", "FrozenLake", SMALL)
+    return training.Training("FrozenLake", "ppo", settings, goal=goal, evaluate_every=2)
+
+
+def trained(run: Any, most: int = 100) -> None:
+    with run.claimed():
+        while not run.finished:
+            run.iterate()
+            if run.done >= most:
+                run.keep()
+                raise KeyboardInterrupt
+
+
+def test_each_seed_learns_what_it_would_alone(tmp_path: Path) -> None:
+    """Also when it was stopped on the way."""
+    with pytest.raises(KeyboardInterrupt):
+        trained(population.Population(plan(), tmp_path / "all", 3, evaluated=20), most=3)
+    together = population.Population(plan(), tmp_path / "all", 3, evaluated=20)
+    trained(together)
+    assert [run.done for run in together.runs] == [6, 6, 6]
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    for seed in (3, 4, 5):
+        settings = training.settings_for("ppo", "FrozenLake", {**SMALL, "seed": seed})
+        alone = training.Training("FrozenLake", "ppo", settings, evaluate_every=2)
+        training.train(alone, tmp_path / f"{seed}", 20)
+        files = [
+            folder / "policy.safetensors" for folder in (tmp_path / f"{seed}", tmp_path / f"all/seed-{seed}")
+        ]
+        assert files[0].read_bytes() == files[1].read_bytes()
+    torch.set_num_threads(before)
+    returns = [[row["eval_return"] for row in run.rows] for run in together.runs]
+    with (tmp_path / "all" / "spread.csv").open() as file:
+        spread = list(csv.DictReader(file))
+    assert [int(row["agent_steps"]) for row in spread] == [256, 512, 768]
+    for k, row in enumerate(spread):
+        least, median, greatest = sorted(own[k] for own in returns)
+        found = [float(row[name]) for name in ("least", "median", "greatest", "mean")]
+        assert found == pytest.approx([least, median, greatest, (least + median + greatest) / 3])
+    assert (tmp_path / "all" / "learning_curves.png").stat().st_size > 0
+
+
+def test_a_seed_that_reached_the_goal_rests() -> None:
+    rows = [{"agent_steps": at, "eval_return": float(at)} for at in (10, 20)]
+    assert population._returns_at(rows, [5, 10, 15, 20, 30]) == [10, 10, 10, 20, 20]
+
+
+def test_the_command(pearl: Callable[..., tuple[int, str, str]], tmp_path: Path) -> None:
+    given = ("FrozenLake", "--n-agents", 8, "--iterations", 1, "--seeds", 2, "--goal", -1, "--json")
+    status, out, err = pearl("train", *given, "--out", tmp_path / "run")
+    assert status == 0, err
+    result = json.loads(out)
+    assert result["reached"] == 2
+    assert [run["seed"] for run in result["runs"]] == [0, 1]
+    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == [
+        "learning_curves.png",
+        "seed-0",
+        "seed-1",
+        "spread.csv",
+    ]
+
+
+@pytest.mark.parametrize("seeds", [0, 1001])
+def test_impossible_numbers_of_seeds_are_refused(seeds: int, tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match=f"--seeds is {seeds}; it must be an integer from 1 to 1000"):
+        population.Population(plan(), tmp_path, seeds)
