@@ -31,11 +31,12 @@ GYMNASIUM_ASYNC_LIMIT = 16
 
 
 ENVPOOL_GAMES = {
+    "Catch": "Catch-v0",
     "ConnectFour": "ConnectFour-v1",
     "LevelBasedForaging": "LevelBasedForaging-v0",
     "RobotWarehouse": "RobotWarehouse-v0",
 }
-"""What EnvPool calls its environments that have several agents, by our names."""
+"""What EnvPool calls those of its environments that Gymnasium does not have, by our names."""
 
 ENVPOOL_AGENTS = {"RobotWarehouse": 4}
 """How many agents these have, where ours has another number."""
@@ -53,13 +54,12 @@ def peers(spec: EnvSpec, n: int) -> list[Contender]:
     rows: list[tuple[str, str, int, Callable[[EnvSpec, int], Step | Game]]] = [
         ("EnvPool, sync", f"{arrays}; all cores{_envpool_game(spec)}", max(n // agents, 1) * agents, _envpool)
     ]
-    if spec.agents > 1:
-        few = max(sync // spec.agents, 1) * spec.agents
-        rows += [
-            (name, counts, n if name in AT_ONCE else few, make)
-            for name, counts, make in PACKAGES.get(spec.name, ())
-        ]
-    else:
+    few = max(sync // spec.agents, 1) * spec.agents
+    rows += [
+        (name, counts, n if name in AT_ONCE else few, make)
+        for name, counts, make in PACKAGES.get(spec.name, ())
+    ]
+    if spec.agents == 1:
         rows += [
             ("Gymnasium SyncVectorEnv", f"{arrays}; one thread", sync, partial(_vectorised, mode="sync")),
             ("Gymnasium AsyncVectorEnv", f"{arrays}; a process a slot", asynchronous, processes),
@@ -293,23 +293,72 @@ def _coin_game(spec: EnvSpec, count: int) -> Step:
         from jaxmarl.environments.coin_game import CoinGame
     game, worlds = CoinGame(**spec.options), count // spec.agents
     actions = dict(zip(game.agents, _actions(spec, count, np.int32).reshape(worlds, -1).T, strict=True))
+    return _compiled(jax, game.reset, game.step, actions, worlds)
+
+
+GYMNAX = {
+    "Catch": ("Catch-bsuite", ("rows", "columns"), ()),
+    "DeepSea": ("DeepSea-bsuite", ("size",), ("unscaled_move_cost", "randomize_actions")),
+    "MemoryChain": ("MemoryChain-bsuite", ("num_bits",), ("memory_length",)),
+}
+"""What gymnax calls its environments, by our names; then options of the environment, and parameters."""
+
+
+def _gymnax(spec: EnvSpec, count: int) -> Step:
+    with installed("gymnax"):
+        import gymnax
+        import jax
+    name, of_env, of_params = GYMNAX[spec.name]
+    env, params = gymnax.make(name, **{key: spec.options[key] for key in of_env})
+    params = params.replace(**{key: spec.options[key] for key in of_params})
+
+    def reset(key: Any) -> Any:
+        return env.reset(key, params)
+
+    def step(key: Any, state: Any, action: Any) -> Any:
+        return env.step(key, state, action, params)
+
+    return _compiled(jax, reset, step, _actions(spec, count, np.int32), count)
+
+
+def _compiled(jax: Any, reset: Any, step: Any, actions: Any, worlds: int) -> Step:
+    """Return the compiled step of many worlds at once, by functions of one that take a key first."""
     key, start = jax.random.split(jax.random.PRNGKey(0))
-    _, state = jax.vmap(game.reset)(jax.random.split(start, worlds))
+    _, state = jax.vmap(reset)(jax.random.split(start, worlds))
 
     def advance(key: Any, state: Any, actions: Any) -> Any:
         key, now = jax.random.split(key)
-        return key, jax.vmap(game.step)(jax.random.split(now, worlds), state, actions)
+        return key, jax.vmap(step)(jax.random.split(now, worlds), state, actions)
 
     compiled, last = jax.jit(advance), [key, state]
 
-    def step() -> None:
+    def advanced() -> None:
         last[0], results = compiled(*last, actions)
         last[1] = jax.block_until_ready(results)[1]
+
+    return advanced
+
+
+def _bsuite(spec: EnvSpec, count: int) -> Step:
+    with installed("bsuite"):
+        from bsuite.environments import catch, deep_sea, memory_chain
+    classes = {"Catch": catch.Catch, "DeepSea": deep_sea.DeepSea, "MemoryChain": memory_chain.MemoryChain}
+    envs = [classes[spec.name](**spec.options) for _ in range(count)]
+    actions = _actions(spec, count, np.int64).tolist()
+    for env in envs:
+        env.reset()
+
+    def step() -> None:
+        for env, action in zip(envs, actions, strict=True):
+            env.step(action)
 
     return step
 
 
+_OF_GYMNAX = ("gymnax", "all result arrays; JAX, compiled, on all cores", _gymnax)
+_OF_BSUITE = ("bsuite", "observations, rewards, ends; Python, one thread", _bsuite)
 PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]] = {
+    "Catch": [_OF_GYMNAX, _OF_BSUITE],
     "CoinGame": [("jaxmarl", "all result arrays; JAX, compiled, on all cores", _coin_game)],
     "ConnectFour": [
         (
@@ -318,13 +367,15 @@ PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]
             _connect_four,
         )
     ],
+    "DeepSea": [_OF_GYMNAX, _OF_BSUITE],
     "LevelBasedForaging": [("lbforaging", "observations, rewards, ends; Python, one thread", _foraging)],
+    "MemoryChain": [_OF_GYMNAX, _OF_BSUITE],
     "Overcooked": [("overcooked-ai", "observations, rewards, ends; Python, one thread", _overcooked)],
     "RobotWarehouse": [("rware", "observations, rewards, ends; Python, one thread", _warehouse)],
 }
 """The packages that our games follow, by our names of these: name, what is counted, and its step."""
 
-AT_ONCE = {"jaxmarl"}
+AT_ONCE = {"gymnax", "jaxmarl"}
 """Packages that step all worlds at once. The others step one after the other, so a thousand are enough."""
 
 

@@ -14,6 +14,8 @@ OTHER_PEERS = {
     "Gymnasium SyncVectorEnv": "Sync",
     "Gymnasium's own vectorisation": "NumPy",
     "MinAtar": "MinAtar",
+    "bsuite": "bsuite",
+    "gymnax": "gymnax",
     "jaxmarl": "JaxMARL",
     "lbforaging": "lbforaging",
     "overcooked-ai": "overcooked-ai",
