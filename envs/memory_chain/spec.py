@@ -35,7 +35,7 @@ def configure(memory_length: int = 5, num_bits: int = 1) -> EnvSpec:
         row[0] = 1 - seen.time / length
         row[1] = seen.query
         for k in range(bits):
-            row[2 + k] = 2 * int(seen.context >> k & 1) - 1 if seen.shown else 0
+            row[2 + k] = 2 * int(seen.context >> k & 1) - 1 if seen.visible else 0
 
     return EnvSpec(
         name="MemoryChain",

@@ -32,7 +32,7 @@ def classes_of(length: int, bits: int) -> tuple[Any, Any]:
 
         time: Range[0, length]
         query: Range[0, max(bits - 1, 1)]
-        shown: Flag
+        visible: Flag
         context: Bits[bits]
 
     return State, View

@@ -35,6 +35,7 @@ ENVPOOL_GAMES = {
     "ConnectFour": "ConnectFour-v1",
     "LevelBasedForaging": "LevelBasedForaging-v0",
     "RobotWarehouse": "RobotWarehouse-v0",
+    "TicTacToe": "TicTacToe-v1",
 }
 """What EnvPool calls those of its environments that Gymnasium does not have, by our names."""
 
@@ -111,7 +112,7 @@ def _required(spec: EnvSpec, package: str) -> str:
 
 def _envpool_game(spec: EnvSpec) -> str:
     """Return what EnvPool's form of a game differs in from ours, and what it counts."""
-    if spec.name == "ConnectFour":
+    if spec.turns:
         return "; the mask of the player on turn"
     if spec.name == "RobotWarehouse":
         return "; Jumanji's warehouse: worlds of 4 robots, 80 shelves"
@@ -241,9 +242,9 @@ def _warehouse(spec: EnvSpec, count: int) -> Game:
     return Game(choose, step)
 
 
-def _connect_four(spec: EnvSpec, count: int) -> Game:
+def _pettingzoo(spec: EnvSpec, count: int, module: str) -> Game:
     with installed("pettingzoo"):
-        from pettingzoo.classic.connect_four.connect_four import raw_env
+        raw_env = importlib.import_module(f"pettingzoo.classic.{module}.{module}").raw_env
     games = [raw_env() for _ in range(count // spec.agents)]
     observed = []
     for i, game in enumerate(games):
@@ -357,20 +358,16 @@ def _bsuite(spec: EnvSpec, count: int) -> Step:
 
 _OF_GYMNAX = ("gymnax", "all result arrays; JAX, compiled, on all cores", _gymnax)
 _OF_BSUITE = ("bsuite", "observations, rewards, ends; Python, one thread", _bsuite)
+_ONE_PLAYER = "observation, mask, reward, end of one player; no wrappers that check; Python, one thread"
 PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]] = {
     "Catch": [_OF_GYMNAX, _OF_BSUITE],
     "CoinGame": [("jaxmarl", "all result arrays; JAX, compiled, on all cores", _coin_game)],
-    "ConnectFour": [
-        (
-            "PettingZoo connect_four_v3",
-            "observation, mask, reward, end of one player; no wrappers that check; Python, one thread",
-            _connect_four,
-        )
-    ],
+    "ConnectFour": [("PettingZoo connect_four_v3", _ONE_PLAYER, partial(_pettingzoo, module="connect_four"))],
     "DeepSea": [_OF_GYMNAX, _OF_BSUITE],
     "LevelBasedForaging": [("lbforaging", "observations, rewards, ends; Python, one thread", _foraging)],
     "MemoryChain": [_OF_GYMNAX, _OF_BSUITE],
     "Overcooked": [("overcooked-ai", "observations, rewards, ends; Python, one thread", _overcooked)],
+    "TicTacToe": [("PettingZoo tictactoe_v3", _ONE_PLAYER, partial(_pettingzoo, module="tictactoe"))],
     "RobotWarehouse": [("rware", "observations, rewards, ends; Python, one thread", _warehouse)],
 }
 """The packages that our games follow, by our names of these: name, what is counted, and its step."""
