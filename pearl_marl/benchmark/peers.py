@@ -31,13 +31,14 @@ GYMNASIUM_ASYNC_LIMIT = 16
 
 
 ENVPOOL_GAMES = {
+    "Acrobot": "Acrobot-v1",
     "Catch": "Catch-v0",
     "ConnectFour": "ConnectFour-v1",
     "LevelBasedForaging": "LevelBasedForaging-v0",
     "RobotWarehouse": "RobotWarehouse-v0",
     "TicTacToe": "TicTacToe-v1",
 }
-"""What EnvPool calls those of its environments that Gymnasium does not have, by our names."""
+"""What EnvPool calls those of its environments whose oracle has another id, or none, by our names."""
 
 ENVPOOL_AGENTS = {"RobotWarehouse": 4}
 """How many agents these have, where ours has another number."""
@@ -298,9 +299,11 @@ def _coin_game(spec: EnvSpec, count: int) -> Step:
 
 
 GYMNAX = {
+    "Acrobot": ("Acrobot-v1", (), ()),
     "Catch": ("Catch-bsuite", ("rows", "columns"), ()),
     "DeepSea": ("DeepSea-bsuite", ("size",), ("unscaled_move_cost", "randomize_actions")),
     "MemoryChain": ("MemoryChain-bsuite", ("num_bits",), ("memory_length",)),
+    "MountainCarContinuous": ("MountainCarContinuous-v0", (), ("goal_velocity",)),
 }
 """What gymnax calls its environments, by our names; then options of the environment, and parameters."""
 
@@ -319,7 +322,7 @@ def _gymnax(spec: EnvSpec, count: int) -> Step:
     def step(key: Any, state: Any, action: Any) -> Any:
         return env.step(key, state, action, params)
 
-    return _compiled(jax, reset, step, _actions(spec, count, np.int32), count)
+    return _compiled(jax, reset, step, random_actions(spec, np.random.default_rng(0), count), count)
 
 
 def _compiled(jax: Any, reset: Any, step: Any, actions: Any, worlds: int) -> Step:
@@ -360,12 +363,14 @@ _OF_GYMNAX = ("gymnax", "all result arrays; JAX, compiled, on all cores", _gymna
 _OF_BSUITE = ("bsuite", "observations, rewards, ends; Python, one thread", _bsuite)
 _ONE_PLAYER = "observation, mask, reward, end of one player; no wrappers that check; Python, one thread"
 PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]] = {
+    "Acrobot": [_OF_GYMNAX],
     "Catch": [_OF_GYMNAX, _OF_BSUITE],
     "CoinGame": [("jaxmarl", "all result arrays; JAX, compiled, on all cores", _coin_game)],
     "ConnectFour": [("PettingZoo connect_four_v3", _ONE_PLAYER, partial(_pettingzoo, module="connect_four"))],
     "DeepSea": [_OF_GYMNAX, _OF_BSUITE],
     "LevelBasedForaging": [("lbforaging", "observations, rewards, ends; Python, one thread", _foraging)],
     "MemoryChain": [_OF_GYMNAX, _OF_BSUITE],
+    "MountainCarContinuous": [_OF_GYMNAX],
     "Overcooked": [("overcooked-ai", "observations, rewards, ends; Python, one thread", _overcooked)],
     "TicTacToe": [("PettingZoo tictactoe_v3", _ONE_PLAYER, partial(_pettingzoo, module="tictactoe"))],
     "RobotWarehouse": [("rware", "observations, rewards, ends; Python, one thread", _warehouse)],
