@@ -34,6 +34,8 @@ ENVPOOL_GAMES = {
     "Acrobot": "Acrobot-v1",
     "Catch": "Catch-v0",
     "ConnectFour": "ConnectFour-v1",
+    "KuhnPoker": "KuhnPoker-v1",
+    "LeducPoker": "LeducHoldem-v1",
     "LevelBasedForaging": "LevelBasedForaging-v0",
     "RobotWarehouse": "RobotWarehouse-v0",
     "TicTacToe": "TicTacToe-v1",

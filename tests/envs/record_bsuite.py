@@ -79,7 +79,7 @@ def record(env: Any) -> dict[str, Any]:
         row = []
         for action in range(env.action_spec().num_values):
             if state in over:
-                row.append((states[state], 0.0, True))
+                row.append((states[state], 0.0))
                 continue
             pose(env, state)
             step = env._step(action)
@@ -90,9 +90,9 @@ def record(env: Any) -> dict[str, Any]:
             assert np.array_equal(seen[states[after]], step.observation)
             if step.last():
                 over.add(after)
-            row.append((states[after], step.reward, step.last()))
+            row.append((states[after], step.reward))
         rows.append(row)
-    after, reward, ended = np.moveaxis(np.array(rows, np.float64), -1, 0)
+    after, reward = np.moveaxis(np.array(rows, np.float64), -1, 0)
     return {
         "states": np.array(list(states), np.uint16),
         "seen": np.array(seen, np.float32),
@@ -100,7 +100,6 @@ def record(env: Any) -> dict[str, Any]:
         "over": np.array([state in over for state in states]),
         "after": after.astype(np.uint16),
         "reward": reward.astype(np.float32),
-        "ended": ended.astype(np.bool_),
     }
 
 

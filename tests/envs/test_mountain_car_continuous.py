@@ -19,7 +19,7 @@ from .fixed import Array, drawing, words
 
 SPEC = pearl_marl.get_spec("MountainCarContinuous")
 WORST = {"position": 6.1e-8, "velocity": 4.8e-9, "reward": 6e-10}
-"""The greatest errors of a step: Gymnasium keeps its state in floats of 32 bits, whose last places are these."""
+"""The greatest errors of a step; the state's are the last places of Gymnasium's, floats of 32 bits."""
 
 
 def oracle(goal_velocity: float = 0) -> Rules:

@@ -1,4 +1,4 @@
-"""What the tests of bsuite's environments share: the transitions that ``record_bsuite.py`` has recorded."""
+"""Every transition of an environment, as ``record_bsuite.py`` and ``record_pgx.py`` have recorded them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ import numpy.typing as npt
 import pearl_marl
 from pearl_marl import EnvSpec
 from pearl_marl.golden import call_reference
-from pearl_marl.porting.oracle import Outcome, compare
+from pearl_marl.porting.oracle import Actions, Outcome, any_actions, compare
 from pearl_marl.testing import compare_steps
 
 Array = npt.NDArray[Any]
-RECORDED = np.load(Path(__file__).with_name("bsuite.npz"))
+RECORDED: dict[str, Array] = {}
+for package in ("bsuite", "pgx"):
+    RECORDED |= np.load(Path(__file__).with_name(f"{package}.npz"))
 
 
 def cases(name: str) -> list[str]:
@@ -32,7 +34,8 @@ class Recorded:
         self.columns = {key.split("/")[1]: RECORDED[key] for key in RECORDED if key.split("/")[0] == case}
         self.options = json.loads(str(self.columns.pop("options")))
         self.spec: EnvSpec = pearl_marl.get_spec(case.partition(",")[0]).with_options(**self.options)
-        self.rows = {tuple(state): row for row, state in enumerate(self.columns["states"].tolist())}
+        goes_on = np.flatnonzero(~self.columns["over"])
+        self.rows = {tuple(self.columns["states"][row].tolist()): row for row in goes_on}
         self._now = np.zeros(0, np.int64)
 
     def pose(self, games: Array, state: list[Array]) -> None:
@@ -43,33 +46,38 @@ class Recorded:
         self._now[games] = found
 
     def look(self, games: Array) -> Outcome:
-        """Return what bsuite shows in these states."""
-        return Outcome(self._seen(self._now[games]))
+        """Return what the package shows in these states."""
+        return self._shows(self._now[games])
 
     def step(self, actions: Array, draws: Array) -> Outcome:
-        """Return what bsuite's steps led to."""
-        which = self._now, actions[:, 0]
+        """Return what the package's steps led to, by the actions of agents on turn."""
+        agents = np.zeros(len(actions), np.int64)
+        if self.spec.turns:
+            names = [field.name for field in self.spec.state]
+            agents = self.columns["states"][self._now, names.index("turn")]
+        which = self._now, actions[np.arange(len(actions)), agents]
         self._now = self.columns["after"][which].astype(np.int64)
         after = self.columns["states"][self._now].astype(np.int64)
-        return Outcome(
-            self._seen(self._now),
-            self.columns["reward"][which],
-            self.columns["ended"][which],
+        return self._shows(self._now)._replace(
+            rewards=self.columns["reward"][which],
+            terminated=np.repeat(self.columns["over"][self._now, None], self.spec.agents, 1),
             state={field.name: after[:, k] for k, field in enumerate(self.spec.state)},
         )
 
-    def _seen(self, rows: Array) -> Array:
-        return self.columns["seen"][rows].reshape(len(rows), 1, -1)
+    def _shows(self, rows: Array) -> Outcome:
+        seen = self.columns["seen"][rows].reshape(len(rows), self.spec.agents, -1)
+        return Outcome(seen, masks=self.columns["mask"][rows] if "mask" in self.columns else None)
 
 
 def check_every_step(case: str) -> int:
     """Compare every recorded transition, on the CPU device, too; return how many there are."""
     oracle = Recorded(case)
-    rows = np.flatnonzero(~oracle.columns["over"])
-    count = oracle.columns["after"].shape[1]
-    words = [np.repeat(column, count) for column in oracle.columns["states"][rows].T]
-    compare_steps(oracle.spec, oracle, words, np.tile(np.arange(count), len(rows)))
-    return len(rows) * count
+    every = np.ones(oracle.columns["after"].shape, np.bool_)
+    rows, actions = np.nonzero(oracle.columns.get("legal", every) & ~oracle.columns["over"][:, None])
+    words = list(oracle.columns["states"][rows].T)
+    taken = np.repeat(actions[:, None], oracle.spec.agents, 1)
+    compare_steps(oracle.spec, oracle, words, taken if oracle.spec.agents > 1 else actions)
+    return len(rows)
 
 
 def check_starts(case: str, draws: int) -> None:
@@ -83,8 +91,8 @@ def check_starts(case: str, draws: int) -> None:
     assert max(counts.values()) - min(counts.values()) <= 1
 
 
-def check_play(case: str, games: int, steps: int) -> None:
+def check_play(case: str, games: int, steps: int, actions: Actions = any_actions) -> None:
     """Compare whole episodes of random play."""
     oracle = Recorded(case)
-    ends = sum(int(move.ended.sum()) for move in compare(oracle.spec, oracle, games, steps, seed=3))
-    assert ends > games
+    moves = compare(oracle.spec, oracle, games, steps, actions=actions, seed=3)
+    assert sum(int(move.ended.sum()) for move in moves) > games

@@ -1,0 +1,32 @@
+"""The spec of KuhnPoker: what the platform has to know besides the dynamics in ``step.py``."""
+
+from __future__ import annotations
+
+import numpy as np
+from gymnasium.spaces import Box, Discrete
+
+from pearl_marl.spec import EnvSpec, Field, Golden
+
+from .step import State, initial, masks, observe, step
+
+
+def configure() -> EnvSpec:
+    """Return the spec; there are no options."""
+    return EnvSpec(
+        name="KuhnPoker",
+        version=0,
+        summary="Two players hold one card each of three, and bet a chip or pass",
+        reward=Field("reward", 3, signed=True),
+        rewards=None,
+        observation_space=Box(0, 1, (7,), np.int8),
+        action_space=Discrete(2),
+        golden=Golden(State, initial, step, observe, masks),
+        agents=2,
+        turns=True,
+        masked="refused",
+        configure=configure,
+        follows="pgx kuhn_poker",
+    )
+
+
+SPEC = configure()
