@@ -34,6 +34,7 @@ ENVPOOL_GAMES = {
     "Acrobot": "Acrobot-v1",
     "Catch": "Catch-v0",
     "ConnectFour": "ConnectFour-v1",
+    "Game2048": "Jumanji/Game2048-v1",
     "KuhnPoker": "KuhnPoker-v1",
     "LeducPoker": "LeducHoldem-v1",
     "LevelBasedForaging": "LevelBasedForaging-v0",
@@ -361,6 +362,22 @@ def _bsuite(spec: EnvSpec, count: int) -> Step:
     return step
 
 
+def _jumanji(spec: EnvSpec, count: int) -> Step:
+    with installed("jumanji"):
+        import jax
+        from jumanji.environments import Game2048
+        from jumanji.wrappers import VmapAutoResetWrapper
+    env, actions = VmapAutoResetWrapper(Game2048(**spec.options)), _actions(spec, count, np.int32)
+    last = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), count))
+    compiled = jax.jit(env.step)
+
+    def step() -> None:
+        nonlocal last
+        last = jax.block_until_ready(compiled(last[0], actions))
+
+    return step
+
+
 _OF_GYMNAX = ("gymnax", "all result arrays; JAX, compiled, on all cores", _gymnax)
 _OF_BSUITE = ("bsuite", "observations, rewards, ends; Python, one thread", _bsuite)
 _ONE_PLAYER = "observation, mask, reward, end of one player; no wrappers that check; Python, one thread"
@@ -370,6 +387,7 @@ PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]
     "CoinGame": [("jaxmarl", "all result arrays; JAX, compiled, on all cores", _coin_game)],
     "ConnectFour": [("PettingZoo connect_four_v3", _ONE_PLAYER, partial(_pettingzoo, module="connect_four"))],
     "DeepSea": [_OF_GYMNAX, _OF_BSUITE],
+    "Game2048": [("jumanji", "all result arrays; JAX, compiled, on all cores", _jumanji)],
     "LevelBasedForaging": [("lbforaging", "observations, rewards, ends; Python, one thread", _foraging)],
     "MemoryChain": [_OF_GYMNAX, _OF_BSUITE],
     "MountainCarContinuous": [_OF_GYMNAX],
@@ -379,7 +397,7 @@ PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]
 }
 """The packages that our games follow, by our names of these: name, what is counted, and its step."""
 
-AT_ONCE = {"gymnax", "jaxmarl"}
+AT_ONCE = {"gymnax", "jaxmarl", "jumanji"}
 """Packages that step all worlds at once. The others step one after the other, so a thousand are enough."""
 
 

@@ -17,6 +17,7 @@ OTHER_PEERS = {
     "bsuite": "bsuite",
     "gymnax": "gymnax",
     "jaxmarl": "JaxMARL",
+    "jumanji": "jumanji",
     "lbforaging": "lbforaging",
     "overcooked-ai": "overcooked-ai",
     "PettingZoo connect_four_v3": "PettingZoo",
