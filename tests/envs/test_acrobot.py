@@ -77,10 +77,11 @@ def test_step(n: int, book_or_nips: str) -> None:
 
 
 @pytest.mark.parametrize("book_or_nips", ["book", "nips"])
-def test_follows_the_oracle(book_or_nips: str) -> None:
+@pytest.mark.parametrize("steps", [60, pytest.param(200, marks=pytest.mark.exhaustive)])
+def test_follows_the_oracle(steps: int, book_or_nips: str) -> None:
     """Whole runs: at each step the oracle starts from where ours stands."""
     spec = SPEC.with_options(book_or_nips=book_or_nips)
-    moves = compare(spec, oracle(spec), 10, 60, seed=5, posed=True, tolerance=REACHED)
+    moves = compare(spec, oracle(spec), 10, steps, seed=5, posed=True, tolerance=REACHED)
     errors = np.array([[np.nanmax(move.errors[name]) for name in NAMES] for move in moves])
     print("at worst, in units of the last place:", (errors.max(0) / ULP).round(2))
 
