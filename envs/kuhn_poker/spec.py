@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.spec import EnvSpec, Field, Golden
 
 from .step import State, initial, masks, observe, step
+
+CARDS, CHIP, CELL = np.uint8([(40, 85, 200), (240, 150, 40), (205, 45, 45)]), (60, 60, 60), 64
+"""Colours of a jack, a queen and a king, and of chips; and the width of a cell in pixels."""
+
+
+def draw(state: State) -> npt.NDArray[np.uint8]:
+    """Draw the card of each player, and below it the chip that the player has bet."""
+    picture = np.full((2, 2, 3), 255, np.uint8)
+    picture[0] = CARDS[list(state.cards)]
+    picture[1, np.array(state.bets, np.bool_)] = CHIP
+    return picture.repeat(CELL, 0).repeat(CELL, 1)
 
 
 def configure() -> EnvSpec:
@@ -25,7 +37,9 @@ def configure() -> EnvSpec:
         turns=True,
         masked="refused",
         configure=configure,
+        draw=draw,
         follows="pgx kuhn_poker",
+        render_modes=("rgb_array",),
     )
 
 

@@ -3,11 +3,25 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.spec import EnvSpec, Field, Golden
 
-from .step import State, initial, masks, observe, step
+from .step import MOST_CHIPS, State, initial, masks, observe, step
+
+CARDS, CHIP, CELL = np.uint8([(40, 85, 200), (240, 150, 40), (205, 45, 45)]), (60, 60, 60), 16
+"""Colours of a jack, a queen and a king, and of chips; and the width of a cell in pixels."""
+
+
+def draw(state: State) -> npt.NDArray[np.uint8]:
+    """Draw the cards of both players, the third one between them, and below them a column of chips each."""
+    picture = np.full((4 + MOST_CHIPS, 3, 3), 255, np.uint8)
+    first, second, public = CARDS[list(state.cards)]
+    picture[:3] = first, public if state.round else CHIP, second
+    for column, chips in zip((0, 2), state.chips, strict=True):
+        picture[4 : 4 + chips, column] = CHIP
+    return picture.repeat(CELL, 0).repeat(4 * CELL, 1)
 
 
 def configure() -> EnvSpec:
@@ -25,7 +39,9 @@ def configure() -> EnvSpec:
         turns=True,
         masked="refused",
         configure=configure,
+        draw=draw,
         follows="pgx leduc_holdem",
+        render_modes=("rgb_array",),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.checks import checked_integer
@@ -14,6 +15,8 @@ from .step import classes_of, make_initial, make_observe, make_step
 
 LONGEST, MOST_BITS = 1000, 40
 """The longest chain that is possible here, and the most bits of bsuite's experiments."""
+ZERO, ONE, BLACK, CELL = (240, 150, 40), (40, 85, 200), (0, 0, 0), 48
+"""Colours of a picture, and the width of a cell in pixels."""
 
 
 def configure(memory_length: int = 5, num_bits: int = 1) -> EnvSpec:
@@ -37,6 +40,15 @@ def configure(memory_length: int = 5, num_bits: int = 1) -> EnvSpec:
         for k in range(bits):
             row[2 + k] = 2 * int(seen.context >> k & 1) - 1 if seen.visible else 0
 
+    def draw(state: Any) -> npt.NDArray[np.uint8]:
+        """Draw the bits of the context, the one that is asked for, and below them the time."""
+        picture = np.full((3, bits, 3), 255, np.uint8)
+        picture[0] = [ONE if state.context >> k & 1 else ZERO for k in range(bits)]
+        picture[1, min(state.query, bits - 1)] = BLACK
+        cells = picture.repeat(CELL, 0).repeat(CELL, 1)
+        cells[2 * CELL :, : round(state.time / (length + 1) * bits * CELL)] = BLACK
+        return cells
+
     return EnvSpec(
         name="MemoryChain",
         version=0,
@@ -54,7 +66,9 @@ def configure(memory_length: int = 5, num_bits: int = 1) -> EnvSpec:
         unpack=unpack,
         options={"memory_length": length, "num_bits": bits},
         configure=configure,
+        draw=draw,
         follows="bsuite memory_chain",
+        render_modes=("rgb_array",),
     )
 
 

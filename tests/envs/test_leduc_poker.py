@@ -7,10 +7,13 @@ from collections import Counter
 import numpy as np
 import pytest
 
+import pearl_marl
 from pearl_marl.golden import call_reference
 
 from .transitions import Recorded, check_every_step, check_play
 from .turns import legal
+
+SPEC = pearl_marl.get_spec("LeducPoker")
 
 
 def test_every_step() -> None:
@@ -52,3 +55,12 @@ def test_starts() -> None:
 @pytest.mark.parametrize("games", [500, pytest.param(6_000, marks=pytest.mark.exhaustive)])
 def test_play(games: int) -> None:
     check_play("LeducPoker", games, 20, legal)
+
+
+def test_picture() -> None:
+    """The third card shows in the second round, and chips are counted."""
+    assert SPEC.draw is not None
+    for round_, public in ((0, [60] * 3), (1, [240, 150, 40])):
+        cells = SPEC.draw(SPEC.layout.built([2, 0, 1, 3, 5, 0, 0, round_, 0, 0]))[::16, ::64]
+        assert cells[0].tolist() == [[205, 45, 45], public, [40, 85, 200]]
+        assert (cells[4:] == 60).all(-1).sum(0).tolist() == [3, 0, 5]

@@ -55,3 +55,14 @@ def test_long_contexts(bits: int) -> None:
 def test_refused_arguments(options: dict[str, Any], words: str) -> None:
     with pytest.raises(ArgumentError, match=words):
         SPEC.with_options(**options)
+
+
+def test_picture() -> None:
+    """Of the bits 1, 0 and 1 the second is asked for, and half of the time is gone."""
+    spec = SPEC.with_options(num_bits=3)
+    assert spec.draw is not None
+    picture = spec.draw(spec.layout.built([3, 0b101, 1]))
+    cells = picture[::48, ::48].tolist()
+    assert cells[0] == [[40, 85, 200], [240, 150, 40], [40, 85, 200]]
+    assert cells[1] == [[255] * 3, [0] * 3, [255] * 3]
+    assert (picture[-1] == 0).all(-1).sum() == 72
