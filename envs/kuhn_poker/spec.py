@@ -10,7 +10,7 @@ from pearl_marl.spec import EnvSpec, Field, Golden
 
 from .step import State, initial, masks, observe, step
 
-CARDS, CHIP, CELL = np.uint8([(40, 85, 200), (240, 150, 40), (205, 45, 45)]), (60, 60, 60), 64
+CARDS, CHIP, CELL = np.array([(40, 85, 200), (240, 150, 40), (205, 45, 45)], np.uint8), (60, 60, 60), 64
 """Colours of a jack, a queen and a king, and of chips; and the width of a cell in pixels."""
 
 
