@@ -56,15 +56,24 @@ BUILDS = {
     "FrozenLake": (8, 32),
     "Taxi": (8, 32),
     "Blackjack": (4, 64),
+    "Acrobot": (1, 256),
     "CartPole": (1, 128),
+    "Catch": (8, 32),
     "CoinGame": (4, 32),
     "ConnectFour": (4, 128),
+    "DeepSea": (8, 32),
+    "Game2048": (1, 128),
+    "KuhnPoker": (4, 64),
+    "LeducPoker": (2, 128),
     "LevelBasedForaging": (1, 128),
+    "MemoryChain": (8, 32),
     "MountainCar": (1, 64),
+    "MountainCarContinuous": (1, 64),
     "Overcooked": (2, 128),
     "Pendulum": (1, 128),
     "RobotWarehouse": (1, 256),
     "Seaquest": (1, 512),
+    "TicTacToe": (4, 128),
 }
 """Processing elements and bits of a word, which stay as they are while the slots grow. These are small
 builds: the fewer elements, which do not grow, the more of a design is what grows."""
@@ -115,7 +124,7 @@ def draw(rows: list[Row]) -> Any:
     environments = list(dict.fromkeys(row["environment"] for row in rows if row["kind"] == "predicted"))
     colours = [Colour.BLUE, Colour.ORANGE, Colour.GREEN, Colour.RED]
     colours += [Colour.PINK, Colour.SKY, Colour.BLACK, "#777777"]
-    looks = list(itertools.product(("-", "--"), colours))[: len(environments)]
+    looks = list(itertools.product(("-", "--", ":"), colours))[: len(environments)]
     panels = list(grid.flat)
     keys = {"lut": "LUT", "ff": "flip-flops", "bram36": "BRAM36"}
     for axes, (key, label) in zip(panels[:3], keys.items(), strict=True):

@@ -17,9 +17,12 @@ from pearl_marl.rendering import HeatMap, Video, renderer
 from pearl_marl.spec import EnvSpec
 
 INSTALL = r"pip install '\.\[render\]'"
+BY_NUMPY = {"Catch", "DeepSea", "Game2048", "KuhnPoker", "LeducPoker", "MemoryChain"}
+"""Environments whose drawings need no library."""
 DRAWN = [
     (name, mode)
     for name in pearl_marl.list_envs()
+    if name not in BY_NUMPY
     for mode in pearl_marl.get_spec(name).render_modes
     if mode != "ansi"
 ]

@@ -42,7 +42,7 @@ def configure() -> EnvSpec:
         masked="refused",
         unpack=unpack,
         configure=configure,
-        oracle="pearl_marl.envs.connect_four.oracle:PettingZoo/ConnectFour-v3",
+        oracle="pearl_marl.envs.turns:PettingZoo/ConnectFour-v3",
         follows="PettingZoo connect_four_v3",
         pose=pose,
         render_modes=("human", "rgb_array"),

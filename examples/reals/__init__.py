@@ -2,9 +2,9 @@
 
 Importing the package registers them, from the folder of this repository:
 
-    pearl run examples.reals:RealAcrobot --n-agents 1000
-    pearl verify examples.reals:RealAcrobot --device rtl
-    pearl verify examples.reals:RealAcrobot --against Acrobot-v1
+    pearl run examples.reals:RealPendulum --n-agents 1000
+    pearl verify examples.reals:RealPendulum --device rtl
+    pearl verify examples.reals:RealPendulum --against Pendulum-v1
 """
 
 from dataclasses import replace
@@ -14,9 +14,9 @@ import numpy as np
 
 import pearl_marl
 
-from . import acrobot, cart_pole, mountain_car, mountain_car_continuous, pendulum
+from . import cart_pole, mountain_car, pendulum
 
-MODULES = acrobot, cart_pole, mountain_car, mountain_car_continuous, pendulum
+MODULES = cart_pole, mountain_car, pendulum
 
 
 def pose(original: Any, state: tuple[float, ...]) -> None:

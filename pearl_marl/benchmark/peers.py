@@ -31,11 +31,17 @@ GYMNASIUM_ASYNC_LIMIT = 16
 
 
 ENVPOOL_GAMES = {
+    "Acrobot": "Acrobot-v1",
+    "Catch": "Catch-v0",
     "ConnectFour": "ConnectFour-v1",
+    "Game2048": "Jumanji/Game2048-v1",
+    "KuhnPoker": "KuhnPoker-v1",
+    "LeducPoker": "LeducHoldem-v1",
     "LevelBasedForaging": "LevelBasedForaging-v0",
     "RobotWarehouse": "RobotWarehouse-v0",
+    "TicTacToe": "TicTacToe-v1",
 }
-"""What EnvPool calls its environments that have several agents, by our names."""
+"""What EnvPool calls those of its environments whose oracle has another id, or none, by our names."""
 
 ENVPOOL_AGENTS = {"RobotWarehouse": 4}
 """How many agents these have, where ours has another number."""
@@ -53,13 +59,12 @@ def peers(spec: EnvSpec, n: int) -> list[Contender]:
     rows: list[tuple[str, str, int, Callable[[EnvSpec, int], Step | Game]]] = [
         ("EnvPool, sync", f"{arrays}; all cores{_envpool_game(spec)}", max(n // agents, 1) * agents, _envpool)
     ]
-    if spec.agents > 1:
-        few = max(sync // spec.agents, 1) * spec.agents
-        rows += [
-            (name, counts, n if name in AT_ONCE else few, make)
-            for name, counts, make in PACKAGES.get(spec.name, ())
-        ]
-    else:
+    few = max(sync // spec.agents, 1) * spec.agents
+    rows += [
+        (name, counts, n if name in AT_ONCE else few, make)
+        for name, counts, make in PACKAGES.get(spec.name, ())
+    ]
+    if spec.agents == 1:
         rows += [
             ("Gymnasium SyncVectorEnv", f"{arrays}; one thread", sync, partial(_vectorised, mode="sync")),
             ("Gymnasium AsyncVectorEnv", f"{arrays}; a process a slot", asynchronous, processes),
@@ -111,7 +116,7 @@ def _required(spec: EnvSpec, package: str) -> str:
 
 def _envpool_game(spec: EnvSpec) -> str:
     """Return what EnvPool's form of a game differs in from ours, and what it counts."""
-    if spec.name == "ConnectFour":
+    if spec.turns:
         return "; the mask of the player on turn"
     if spec.name == "RobotWarehouse":
         return "; Jumanji's warehouse: worlds of 4 robots, 80 shelves"
@@ -241,9 +246,9 @@ def _warehouse(spec: EnvSpec, count: int) -> Game:
     return Game(choose, step)
 
 
-def _connect_four(spec: EnvSpec, count: int) -> Game:
+def _pettingzoo(spec: EnvSpec, count: int, module: str) -> Game:
     with installed("pettingzoo"):
-        from pettingzoo.classic.connect_four.connect_four import raw_env
+        raw_env = importlib.import_module(f"pettingzoo.classic.{module}.{module}").raw_env
     games = [raw_env() for _ in range(count // spec.agents)]
     observed = []
     for i, game in enumerate(games):
@@ -293,38 +298,106 @@ def _coin_game(spec: EnvSpec, count: int) -> Step:
         from jaxmarl.environments.coin_game import CoinGame
     game, worlds = CoinGame(**spec.options), count // spec.agents
     actions = dict(zip(game.agents, _actions(spec, count, np.int32).reshape(worlds, -1).T, strict=True))
+    return _compiled(jax, game.reset, game.step, actions, worlds)
+
+
+GYMNAX = {
+    "Acrobot": ("Acrobot-v1", (), ()),
+    "Catch": ("Catch-bsuite", ("rows", "columns"), ()),
+    "DeepSea": ("DeepSea-bsuite", ("size",), ("unscaled_move_cost", "randomize_actions")),
+    "MemoryChain": ("MemoryChain-bsuite", ("num_bits",), ("memory_length",)),
+    "MountainCarContinuous": ("MountainCarContinuous-v0", (), ("goal_velocity",)),
+}
+"""What gymnax calls its environments, by our names; then options of the environment, and parameters."""
+
+
+def _gymnax(spec: EnvSpec, count: int) -> Step:
+    with installed("gymnax"):
+        import gymnax
+        import jax
+    name, of_env, of_params = GYMNAX[spec.name]
+    env, params = gymnax.make(name, **{key: spec.options[key] for key in of_env})
+    params = params.replace(**{key: spec.options[key] for key in of_params})
+
+    def reset(key: Any) -> Any:
+        return env.reset(key, params)
+
+    def step(key: Any, state: Any, action: Any) -> Any:
+        return env.step(key, state, action, params)
+
+    return _compiled(jax, reset, step, random_actions(spec, np.random.default_rng(0), count), count)
+
+
+def _compiled(jax: Any, reset: Any, step: Any, actions: Any, worlds: int) -> Step:
+    """Return the compiled step of many worlds at once, by functions of one that take a key first."""
     key, start = jax.random.split(jax.random.PRNGKey(0))
-    _, state = jax.vmap(game.reset)(jax.random.split(start, worlds))
+    _, state = jax.vmap(reset)(jax.random.split(start, worlds))
 
     def advance(key: Any, state: Any, actions: Any) -> Any:
         key, now = jax.random.split(key)
-        return key, jax.vmap(game.step)(jax.random.split(now, worlds), state, actions)
+        return key, jax.vmap(step)(jax.random.split(now, worlds), state, actions)
 
     compiled, last = jax.jit(advance), [key, state]
 
-    def step() -> None:
+    def advanced() -> None:
         last[0], results = compiled(*last, actions)
         last[1] = jax.block_until_ready(results)[1]
+
+    return advanced
+
+
+def _bsuite(spec: EnvSpec, count: int) -> Step:
+    with installed("bsuite"):
+        from bsuite.environments import catch, deep_sea, memory_chain
+    classes = {"Catch": catch.Catch, "DeepSea": deep_sea.DeepSea, "MemoryChain": memory_chain.MemoryChain}
+    envs = [classes[spec.name](**spec.options) for _ in range(count)]
+    actions = _actions(spec, count, np.int64).tolist()
+    for env in envs:
+        env.reset()
+
+    def step() -> None:
+        for env, action in zip(envs, actions, strict=True):
+            env.step(action)
 
     return step
 
 
+def _jumanji(spec: EnvSpec, count: int) -> Step:
+    with installed("jumanji"):
+        import jax
+        from jumanji.environments import Game2048
+        from jumanji.wrappers import VmapAutoResetWrapper
+    env, actions = VmapAutoResetWrapper(Game2048(**spec.options)), _actions(spec, count, np.int32)
+    last = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), count))
+    compiled = jax.jit(env.step)
+
+    def step() -> None:
+        nonlocal last
+        last = jax.block_until_ready(compiled(last[0], actions))
+
+    return step
+
+
+_OF_GYMNAX = ("gymnax", "all result arrays; JAX, compiled, on all cores", _gymnax)
+_OF_BSUITE = ("bsuite", "observations, rewards, ends; Python, one thread", _bsuite)
+_ONE_PLAYER = "observation, mask, reward, end of one player; no wrappers that check; Python, one thread"
 PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]] = {
+    "Acrobot": [_OF_GYMNAX],
+    "Catch": [_OF_GYMNAX, _OF_BSUITE],
     "CoinGame": [("jaxmarl", "all result arrays; JAX, compiled, on all cores", _coin_game)],
-    "ConnectFour": [
-        (
-            "PettingZoo connect_four_v3",
-            "observation, mask, reward, end of one player; no wrappers that check; Python, one thread",
-            _connect_four,
-        )
-    ],
+    "ConnectFour": [("PettingZoo connect_four_v3", _ONE_PLAYER, partial(_pettingzoo, module="connect_four"))],
+    "DeepSea": [_OF_GYMNAX, _OF_BSUITE],
+    "Game2048": [("jumanji", "all result arrays; JAX, compiled, on all cores", _jumanji)],
     "LevelBasedForaging": [("lbforaging", "observations, rewards, ends; Python, one thread", _foraging)],
+    "MemoryChain": [_OF_GYMNAX, _OF_BSUITE],
+    "MountainCarContinuous": [_OF_GYMNAX],
     "Overcooked": [("overcooked-ai", "observations, rewards, ends; Python, one thread", _overcooked)],
+    "TicTacToe": [("PettingZoo tictactoe_v3", _ONE_PLAYER, partial(_pettingzoo, module="tictactoe"))],
     "RobotWarehouse": [("rware", "observations, rewards, ends; Python, one thread", _warehouse)],
 }
 """The packages that our games follow, by our names of these: name, what is counted, and its step."""
 
-AT_ONCE = {"jaxmarl"}
+AT_ONCE = {"gymnax", "jaxmarl", "jumanji"}
 """Packages that step all worlds at once. The others step one after the other, so a thousand are enough."""
 
 

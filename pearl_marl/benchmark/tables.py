@@ -14,10 +14,14 @@ OTHER_PEERS = {
     "Gymnasium SyncVectorEnv": "Sync",
     "Gymnasium's own vectorisation": "NumPy",
     "MinAtar": "MinAtar",
+    "bsuite": "bsuite",
+    "gymnax": "gymnax",
     "jaxmarl": "JaxMARL",
+    "jumanji": "jumanji",
     "lbforaging": "lbforaging",
     "overcooked-ai": "overcooked-ai",
     "PettingZoo connect_four_v3": "PettingZoo",
+    "PettingZoo tictactoe_v3": "PettingZoo",
 }
 """The peers besides EnvPool in the table of all environments: contenders, and the words for them there."""
 

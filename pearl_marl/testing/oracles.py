@@ -154,7 +154,7 @@ def compare_pictures(
     drawn
         Puts the oracle into a state and returns its picture.
     actions
-        The actions of all agents of the second of two worlds, step by step; those of the first are the first.
+        The actions of all agents of the second of two worlds, step by step; the first takes them backwards.
     different
         How many of the pictures have to differ from each other.
     """
@@ -162,8 +162,8 @@ def compare_pictures(
     env = parallel_env(spec.name, 2 * n, render_mode=mode, device=device, **spec.options)
     env.reset(seed=seed)
     pictures = set()
-    for action in actions:
-        env.step_batch(np.concatenate([np.reshape(one, shape) for one in (actions[0], action)]))
+    for pair in zip(reversed(actions), actions, strict=True):
+        env.step_batch(np.concatenate([np.reshape(one, shape) for one in pair]))
         picture, other = env.render(f"agent_{n}"), drawn(spec.layout.built(env.state()[1].tolist()))
         np.testing.assert_array_equal(picture, other)
         pictures.add(np.asarray(picture).tobytes())

@@ -85,6 +85,17 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "learning_rate": 2e-3,
         "q_lambda": 0.95,
     },
+    ("ppo", "Acrobot"): {"n_agents": 512, "iterations": 40},
+    # As above; and the goal is worth 100.
+    ("ppo", "MountainCarContinuous"): {
+        "n_agents": 2048,
+        "rollout_length": 16,
+        "iterations": 100,
+        "learning_rate": 1e-3,
+        "discount": 0.99,
+        "gae_lambda": 0.98,
+        "reward_scale": 0.1,
+    },
     ("ppo", "Pendulum"): {
         "n_agents": 512,
         "iterations": 120,

@@ -15,42 +15,13 @@ from pettingzoo.classic.connect_four import connect_four
 import pearl_marl
 from pearl_marl.envs.connect_four.step import CELLS, COLUMNS, has_four
 from pearl_marl.golden import call_reference
-from pearl_marl.porting.oracle import Games, Ours, Outcome, compare
+from pearl_marl.porting.oracle import Games, compare
 from pearl_marl.testing import compare_pictures
 
-Array = np.ndarray[Any, Any]
+from .turns import begin, legal, move, seen
+
 SPEC = pearl_marl.get_spec("ConnectFour")
 initial, step = SPEC.positional[:2]
-PLAYERS = ("player_0", "player_1")
-
-
-def seen(game: Any) -> Outcome:
-    """Return what PettingZoo's game shows both players."""
-    views = [game.observe(player) for player in PLAYERS]
-    return Outcome(
-        [view["observation"] for view in views],
-        [game.rewards[player] for player in PLAYERS],
-        [game.terminations[player] for player in PLAYERS],
-        masks=[view["action_mask"] for view in views],
-    )
-
-
-def move(game: Any, actions: list[int], draws: list[int]) -> Outcome:
-    """Move by the action of whose turn it is."""
-    game.step(actions[PLAYERS.index(game.agent_selection)])
-    return seen(game)
-
-
-def begin(game: Any, state: Any) -> None:
-    assert not any(state.boards), "a game begins on an empty board"
-    game.reset()
-
-
-def legal(ours: Ours, generator: np.random.Generator) -> Array:
-    """Choose any legal move of whose turn it is; and anything for the other player."""
-    masks = ours.masks()
-    chances = generator.random(masks.shape) * masks
-    return np.where(masks.any(2), chances.argmax(2), generator.integers(COLUMNS, size=masks.shape[:2]))
 
 
 @pytest.mark.parametrize("moves", [25_000, pytest.param(100_000, marks=pytest.mark.exhaustive)])
@@ -66,17 +37,17 @@ def test_moves(moves: int) -> None:
 
 def test_where_four_are_in_a_row() -> None:
     """Every four bits that are evenly spaced, of which those on the edges would run on in the next row."""
-    cells = [(begin, by) for by in (1, 6, 7, 8) for begin in range(CELLS) if begin + 3 * by < CELLS]
-    boards = np.array([sum(1 << begin + k * by for k in range(4)) for begin, by in cells])
+    cells = [(first, by) for by in (1, 6, 7, 8) for first in range(CELLS) if first + 3 * by < CELLS]
+    boards = np.array([sum(1 << first + k * by for k in range(4)) for first, by in cells])
     straight = []
-    for begin, by in cells:
-        places = [divmod(begin + k * by, COLUMNS) for k in range(4)]
+    for first, by in cells:
+        places = [divmod(first + k * by, COLUMNS) for k in range(4)]
         rows, columns = (np.diff(line) for line in zip(*places, strict=True))
         straight.append(max(abs(rows)) <= 1 and max(abs(columns)) <= 1)
     assert sum(straight) == 69
     np.testing.assert_array_equal(call_reference(has_four, [boards])[0], straight)
     for k in range(4):  # and no three of them
-        holes = [board & ~(1 << begin + k * by) for board, (begin, by) in zip(boards, cells, strict=True)]
+        holes = [board & ~(1 << first + k * by) for board, (first, by) in zip(boards, cells, strict=True)]
         assert not call_reference(has_four, [np.array(holes)])[0].any()
 
 
@@ -92,8 +63,8 @@ def test_an_illegal_move_ends_the_game_as_in_pettingzoo(mover: int) -> None:
         assert not over
     oracle.step(3)
     *_, reward_0, reward_1, over_0, over_1 = call_reference(step, [*state, 3, 3])
-    assert [reward_0, reward_1] == [oracle.rewards[player] for player in PLAYERS]
-    assert [over_0, over_1] == [oracle.terminations[player] for player in PLAYERS] == [1, 1]
+    assert [reward_0, reward_1] == [oracle.rewards[player] for player in oracle.possible_agents]
+    assert [over_0, over_1] == [oracle.terminations[player] for player in oracle.possible_agents] == [1, 1]
     assert [reward_0, reward_1][mover] == -1
     # An action that is none does the same.
     assert call_reference(step, [*state, 7, 7])[3:] == (reward_0, reward_1, 1, 1)

@@ -1,0 +1,1 @@
+"""Catch: move a paddle under a ball that falls."""

@@ -1,0 +1,1 @@
+"""DeepSea: dive along the one way that leads to the treasure."""

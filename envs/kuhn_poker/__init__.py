@@ -1,0 +1,1 @@
+"""KuhnPoker: two players, three cards, and one bet."""

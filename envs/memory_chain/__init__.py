@@ -1,0 +1,1 @@
+"""MemoryChain: remember what was seen in the first step until the last."""

@@ -1,0 +1,1 @@
+"""TicTacToe: two players mark cells in turn, and three in a row win."""
