@@ -122,7 +122,7 @@ def measure_rollouts(
     as_json: common.AsJson = False,
     as_markdown: common.AsMarkdown = False,
 ) -> None:
-    """Measure policy steps per second: of rollouts, of the loop of pearl eval, and of EnvPool with torch."""
+    """Measure policy steps per second: rollouts, the loop of pearl eval, EnvPool with torch, gymnax."""
     from pearl_marl.policies.integer_file import load_policy
 
     checked_number("--seconds", seconds, 0, MOST_SECONDS)
