@@ -79,9 +79,16 @@ class Batch(NamedTuple):
 
 
 @called
-def _put(words: Array, actions: Array) -> None:
-    for i in range(len(words)):
-        actions[i] = words[i]
+def _put(own: Array, to: Array) -> None:
+    """Copy a row: to assign it takes Numba seconds to compile, for the message of another length."""
+    for i in range(np.uint64(len(own))):
+        to[i] = own[i]
+
+
+@called
+def _copy(own: Array, to: Array) -> None:
+    for i in range(len(own)):
+        _put(own[i], to[i])
 
 
 @called
@@ -165,17 +172,17 @@ def _rollout(act, step, arguments, table, net, batch, sums, record, agents, step
             else:
                 _put(flat, actions.view(np.int64))
             if keep:
-                record.elements[t, first:last] = elements.reshape((n, row))
-                record.words[t, first:last] = own
-                record.logits[t, first:last] = logits[:n]
+                _copy(elements.reshape((n, row)), record.elements[t, first:last])
+                _copy(own, record.words[t, first:last])
+                _copy(logits[:n], record.logits[t, first:last])
                 if masked:
-                    record.masks[t, first:last] = masks
+                    _copy(masks, record.masks[t, first:last])
             call_step(step, to_step)
             _add(sums, batch, first, n, t, arguments[NEXT_STEP])
             if keep:
-                record.rewards[t, first:last] = batch.rewards[first:last]
-                record.terminations[t, first:last] = batch.terminations[first:last]
-                record.truncations[t, first:last] = batch.truncations[first:last]
+                _put(batch.rewards[first:last], record.rewards[t, first:last])
+                _put(batch.terminations[first:last], record.terminations[t, first:last])
+                _put(batch.truncations[first:last], record.truncations[t, first:last])
         for i in range(first, last):
             sums.length[i] += steps
 

@@ -30,11 +30,11 @@ from pearl_marl.policies.integer_vectors import (
     TILE,
     pairs_looked_up,
     pairs_to_pairs,
-    pairs_to_quads,
     pairs_to_sums,
     quads_looked_up,
     quads_to_quads,
     quads_to_sums,
+    take,
     take_greatest,
     takes_quads,
 )
@@ -52,7 +52,7 @@ class Prepared(NamedTuple):
 
     kind: int  # SCALED, LOOKED_UP, PICKED or PLANES
     size: int  # bytes of an element
-    signed: bool
+    signed: int  # 1 where it has a sign
     width: int  # elements of an observation
     offset: Array  # int64, one an element; of LOOKED_UP and PICKED one a choice: the row of zeros
     multiplier: Array
@@ -105,9 +105,8 @@ def prepared(network: IntegerNetwork, dtype: np.dtype[Any]) -> Prepared:
     weights, bias = [], []
     facts = np.zeros((len(layers), 6), np.int64)
     tables, as_bytes = np.zeros((len(layers), ENTRIES), np.int32), np.zeros((len(layers), ENTRIES), np.uint8)
-    befores = (inputs, *layers[:-1])
-    quads = takes_quads() and all(map(_fits_quads, befores, layers))
-    for k, (before, layer) in enumerate(zip(befores, layers, strict=True)):
+    quads = takes_quads() and _fits_quads(network)
+    for k, (before, layer) in enumerate(zip((inputs, *layers[:-1]), layers, strict=True)):
         outputs, width = layer.weights.shape
         size = QUAD if quads and isinstance(before, Patches | Dense) else PAIR
         groups, up = -(-width // size), -(-outputs // HIGH) * HIGH
@@ -136,7 +135,7 @@ def prepared(network: IntegerNetwork, dtype: np.dtype[Any]) -> Prepared:
     return Prepared(
         kind,
         dtype.itemsize,
-        dtype.kind == "i",
+        int(dtype.kind == "i"),
         network.spec.observation_size,
         offset,
         multiplier,
@@ -164,24 +163,23 @@ def prepared(network: IntegerNetwork, dtype: np.dtype[Any]) -> Prepared:
     )
 
 
-def _fits_quads(before: Scaling | Rows | Patches | Dense, layer: Dense) -> bool:
-    """Return whether a layer's weights, and what it takes from the one before, have 8 bits.
+def _fits_quads(network: IntegerNetwork) -> bool:
+    """Return whether weights, and what goes from one layer to the next, have 8 bits.
 
-    The first inputs may have more, unless they are planes.
+    The first layer may be one of pairs; then a table follows.
     """
-    match before:
-        case Scaling() | Rows():
-            return True
-        case Dense() if len(before.activation):
-            fits = _has_8_bits(before.activation)
-        case _:
-            fits = before.limit <= 255
-    return fits and _has_8_bits(layer.weights)
-
-
-def _has_8_bits(numbers: Array) -> bool:
+    inputs, layers = network.inputs, network.layers
+    planes = isinstance(inputs, Patches)
+    if planes and inputs.limit > 255:
+        return False
+    if not planes and len(layers) > 1 and not len(layers[0].activation):
+        return False
+    made = [
+        layer.activation if len(layer.activation) else np.array([layer.limit - 128]) for layer in layers[:-1]
+    ]
+    weights = [layer.weights for layer in layers[0 if planes else 1 :]]
     ends = np.iinfo(np.int8)
-    return bool(numbers.min(initial=0) >= ends.min and numbers.max(initial=0) <= ends.max)
+    return all(ends.min <= some.min(initial=0) and some.max(initial=0) <= ends.max for some in made + weights)
 
 
 def _row_decides(network: IntegerNetwork) -> bool:
@@ -267,34 +265,6 @@ def _room_for(net: Prepared) -> Room:
 
 
 @called
-def _transpose(own: Array, width: int, n: int, taken: Array) -> None:
-    # Of unsigned indices none counts from the end.
-    for k in range(width):
-        for s in range(n):
-            taken[k, s] = np.int64(own[np.uint64(s) * np.uint64(width) + np.uint64(k)])
-
-
-@called
-def _take(net: Prepared, elements: Array, first: int, n: int, taken: Array) -> None:
-    """Take the elements of some agents from their bytes."""
-    own = elements[first * net.width * net.size :]
-    if net.size == 8:
-        _transpose(own.view(np.int64), net.width, n, taken)
-    elif net.size == 4 and net.signed:
-        _transpose(own.view(np.int32), net.width, n, taken)
-    elif net.size == 4:
-        _transpose(own.view(np.uint32), net.width, n, taken)
-    elif net.size == 2 and net.signed:
-        _transpose(own.view(np.int16), net.width, n, taken)
-    elif net.size == 2:
-        _transpose(own.view(np.uint16), net.width, n, taken)
-    elif net.signed:
-        _transpose(own.view(np.int8), net.width, n, taken)
-    else:
-        _transpose(own, net.width, n, taken)
-
-
-@called
 def _scale(net: Prepared, taken: Array, x: Array) -> None:
     """Put a tile's inputs in pairs."""
     count = len(net.offset)
@@ -322,7 +292,7 @@ def _see_planes(net: Prepared, elements: Array, first: int, n: int, room: Room) 
             for k in range(net.width):
                 flags[k] = elements[np.uint64(start + k)]
         else:
-            _take(net, elements, first + s, 1, room.taken)
+            take((elements, room.taken), (first + s, 1, net.width, net.size, net.signed, 1))
             for k in range(net.width):
                 flags[k] = room.taken[k, 0] != 0
         for at in range(high * wide):
@@ -415,7 +385,7 @@ def _add_up(net: Prepared, elements: Array, first: int, n: int, room: Room) -> N
     if net.kind == PLANES:
         _see_planes(net, elements, first, n, room)
     else:
-        _take(net, elements, first, n, room.taken)
+        take((elements, room.taken), (first, n, net.width, net.size, net.signed, TILE))
     if net.kind == SCALED:
         _scale(net, room.taken, room.x)
     begun = net.kind == LOOKED_UP or len(net.indicator) > 0
@@ -436,10 +406,8 @@ def _add_up(net: Prepared, elements: Array, first: int, n: int, room: Room) -> N
                     quads_looked_up(arrays, of)
                 else:
                     quads_to_quads(arrays, of)
-            elif has_table:
-                pairs_looked_up(arrays, of)
             else:
-                pairs_to_quads(arrays, of)
+                pairs_looked_up(arrays, of)
         elif size == QUAD:
             quads_to_sums(arrays, of)
         elif following == PAIR and not has_table:
@@ -512,7 +480,7 @@ def _act(net, elements, masks, draws, words, logits):  # type: ignore[no-untyped
     for start in range(0, len(words), TILE):
         some = min(TILE, len(words) - start)
         if net.kind == PICKED:
-            _take(net, elements, start, some, room.taken)
+            take((elements, room.taken), (start, some, net.width, net.size, net.signed, TILE))
             _find_rows(net, 0, room)
             _pick(net, start, some, room, words, logits)
         else:

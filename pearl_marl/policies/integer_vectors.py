@@ -101,12 +101,12 @@ class _Code:
     def load(self, array: Any, index: Any, kind: Any = _WORDS) -> Any:
         """Load a vector, or an element, from an index of an array."""
         place = self.builder.bitcast(self.builder.gep(array, [index]), kind.as_pointer())
-        return self.builder.load(place, align=1 if isinstance(kind, ir.VectorType) else None)
+        return self.builder.load(place, align=1)
 
-    def store(self, vector: Any, array: Any, index: Any) -> None:
-        """Store a vector at an index of an array."""
-        place = self.builder.bitcast(self.builder.gep(array, [index]), vector.type.as_pointer())
-        self.builder.store(vector, place, align=1)
+    def store(self, value: Any, array: Any, index: Any) -> None:
+        """Store a vector, or an element, at an index of an array."""
+        place = self.builder.bitcast(self.builder.gep(array, [index]), value.type.as_pointer())
+        self.builder.store(value, place, align=1)
 
     def variable(self, kind: Any) -> Any:
         """Return a variable; LLVM keeps it in a register."""
@@ -312,7 +312,7 @@ def _look_up(code: _Code) -> Finish:
 
 pairs_to_sums, quads_to_sums = _layer(_plus_pairs, _keep), _layer(_plus_quads, _keep)
 pairs_to_pairs = _layer(_plus_pairs, _cut_to_pairs)
-pairs_to_quads, quads_to_quads = _layer(_plus_pairs, _cut_to_quads), _layer(_plus_quads, _cut_to_quads)
+quads_to_quads = _layer(_plus_quads, _cut_to_quads)
 pairs_looked_up, quads_looked_up = _layer(_plus_pairs, _look_up), _layer(_plus_quads, _look_up)
 """Do a layer of a tile: sums of biases and products, and what becomes of them.
 
@@ -320,6 +320,34 @@ Called with ``(inputs, made, sums, weights, biases, tables)``, where ``made`` ar
 sums, and with numbers: the first of the weights, the groups of inputs, the first of the biases, how many
 outputs there are, a multiple of :data:`HIGH`, 1 where the products are added to the sums that are there
 instead of to biases, the shift, and the limit or the first byte of the table.
+"""
+
+
+def _write_take(code: _Code) -> None:
+    builder, (elements, taken), (first, n, width, size, signed, row) = (
+        code.builder,
+        code.arrays,
+        code.numbers(),
+    )
+    own = builder.gep(elements, [builder.mul(builder.mul(first, width), size)])
+    signed = builder.trunc(signed, ir.IntType(1))
+    for bits in (8, 16, 32, 64):
+        kind = ir.IntType(bits)
+        words, this_size = (
+            builder.bitcast(own, kind.as_pointer()),
+            builder.icmp_signed("==", size, _INDEX(bits // 8)),
+        )
+        for has_sign, extend in ((signed, builder.sext), (builder.not_(signed), builder.zext)):
+            with builder.if_then(builder.and_(this_size, has_sign)), code.each(width) as k, code.each(n) as s:
+                word = code.load(words, builder.add(builder.mul(s, width), k), kind)
+                code.store(extend(word, _INDEX), taken, builder.add(builder.mul(k, row), s))
+
+
+take = _made(_write_take)
+"""Take the elements of some agents from their bytes, a row an element.
+
+Called with ``(elements, taken)``, and with the first agent, how many there are, the elements of each, the
+bytes of an element, 1 where it has a sign, and the length of a row.
 """
 
 
