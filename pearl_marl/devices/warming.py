@@ -42,7 +42,7 @@ def compiled_by(work: Callable[[], None]) -> int:
 
 
 def warm(env_id: str, options: dict[str, Any]) -> Warmed:
-    """Reset, step and roll out an environment in every form of its observations, to have the kernels in the cache.
+    """Reset, step and roll out an environment in every form of its observations, which fills the cache.
 
     What all rollouts have in common is compiled with the first.
     """

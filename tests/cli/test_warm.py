@@ -49,8 +49,8 @@ def python(cache: Path, script: str, *arguments: str) -> Any:
 def test_what_is_warm_is_not_compiled_again(tmp_path: Path) -> None:
     """Neither by a second call, nor by the first steps of an environment."""
     given = "CliffWalking", "ConnectFour"
-    # Of each form its kernels, of each environment those of rollouts, and what all of these share.
-    assert len(python(tmp_path, STEPS, *given)) == 3 + 2 + 2
+    # The kernels of each form, and the loop and the policy of all rollouts.
+    assert len(python(tmp_path, STEPS, *given)) == 3 + 2
     cache = tmp_path / "warm"
     first = python(cache, ENTRY, "warm", *given, "--json")
     assert first["cache"] == str(cache / "kernels")
