@@ -52,7 +52,7 @@ def contenders(run: Path, network: IntegerNetwork, n: int) -> list[Contender]:
     return [
         *rows,
         Contender("EnvPool, torch", envpool, n, partial(_envpool, network, n)),
-        Contender("gymnax, JAX", gymnax, n * STEPS, partial(_gymnax, network, n)),
+        Contender("gymnax, JAX", gymnax, n * STEPS, partial(gymnax_rollout, network, n)),
     ]
 
 
@@ -132,7 +132,8 @@ def _envpool(network: IntegerNetwork, n: int) -> Step:
     return step
 
 
-def _gymnax(network: IntegerNetwork, n: int) -> Step:
+def gymnax_rollout(network: IntegerNetwork, n: int) -> Step:
+    """Return a rollout of gymnax's form of an environment, with a network of the same sizes, in JAX."""
     spec, shapes = network.spec, _shapes(network)
     with installed("'.[peers]'"):
         import gymnax
