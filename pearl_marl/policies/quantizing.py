@@ -25,6 +25,7 @@ from pearl_marl.policies.integer_network import (
 )
 from pearl_marl.policies.network import Network
 from pearl_marl.policies.trained import NetworkPolicy, Table
+from pearl_marl.spec.elements import bounds
 
 INPUT_STEPS = 128
 """Inputs that are standardised are counted in parts of a standard deviation: so many."""
@@ -60,7 +61,8 @@ def quantized(
     Raises
     ------
     ArgumentError
-        The widths are impossible, or the policy has a network of its own for each agent of a world.
+        The widths are impossible, the policy has a network of its own for each agent of a world, or its
+        observations are planes of other numbers than 0 and 1.
     """
     checked_integer("weight_bits", weight_bits, *BITS)
     checked_integer("activation_bits", activation_bits, *BITS)
@@ -186,6 +188,12 @@ class _Quantizing:
 
     def _patches(self) -> tuple[Patches, float]:
         """Return what pictures go through first, and the scale of what comes of it."""
+        greatest = int(bounds(self.spec.observation_space)[1].max())
+        if greatest > 1:
+            raise ArgumentError(
+                f"observations of {self.spec.name} are planes of numbers up to {greatest}, and only planes "
+                "of 0 and 1 become inputs of a policy in integers"
+            )
         convolution = self.float.encoder.convolution
         weights, bias = convolution.weight.numpy(), _numbers(convolution.bias)
         scale = self.most_weight / _greatest(weights)
