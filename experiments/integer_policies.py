@@ -27,10 +27,10 @@ TRAININGS: dict[str, tuple[str, ...]] = {
     "Seaquest": ("--algo", "ppo"),
     "ConnectFour": ("--algo", "self-play"),
     "LevelBasedForaging": ("--algo", "ppo"),
-    "Overcooked": ("--algo", "ppo", "--option", "reward_shaping_factor=1"),
     "RobotWarehouse": ("--algo", "ppo"),
 }
-"""How each is trained. CoinGame's preset has a network for each agent, which cannot be quantised."""
+"""How each is trained. Two presets have policies that cannot be quantised: CoinGame's has a network for each
+agent, and Overcooked's observations are planes of larger numbers than 1."""
 
 
 def pearl(*arguments: str) -> Any:
