@@ -170,9 +170,10 @@ def _fits_quads(network: IntegerNetwork) -> bool:
     """
     inputs, layers = network.inputs, network.layers
     planes = isinstance(inputs, Patches)
-    if planes and inputs.limit > 255:
-        return False
-    if not planes and len(layers) > 1 and not len(layers[0].activation):
+    if isinstance(inputs, Patches):
+        if inputs.limit > 255:
+            return False
+    elif len(layers) > 1 and not len(layers[0].activation):
         return False
     made = [
         layer.activation if len(layer.activation) else np.array([layer.limit - 128]) for layer in layers[:-1]

@@ -9,7 +9,7 @@ VNNI), of which inputs have no sign.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from typing import Any, TypeAlias
@@ -59,15 +59,15 @@ def _constant(vector: Any, number: int) -> Any:
     return ir.Constant(vector, [number] * vector.count)
 
 
-def _shuffled(builder: Any, left: Any, right: Any, order: list[int]) -> Any:
+def _shuffled(builder: Any, vectors: Sequence[Any], order: list[int]) -> Any:
     """Return elements of two vectors, one after the other, in an order."""
-    return builder.shuffle_vector(left, right, ir.Constant(ir.VectorType(_WORD, len(order)), order))
+    return builder.shuffle_vector(*vectors, ir.Constant(ir.VectorType(_WORD, len(order)), order))
 
 
 def _spread(builder: Any, word: Any) -> Any:
     """Return a vector of the same word."""
     empty = ir.Constant(_WORDS, ir.Undefined)
-    return _shuffled(builder, builder.insert_element(empty, word, _WORD(0)), empty, [0] * LANES)
+    return _shuffled(builder, (builder.insert_element(empty, word, _WORD(0)), empty), [0] * LANES)
 
 
 class _Code:
@@ -145,15 +145,16 @@ def _plus_pairs(builder: Any, total: Any, inputs: Any, weights: Any) -> Any:
         halves = []
         for first in (0, LANES):
             own = [
-                _shuffled(builder, pairs, pairs, list(range(first, first + LANES)))
+                _shuffled(builder, (pairs, pairs), list(range(first, first + LANES)))
                 for pairs in (inputs, weights)
             ]
             halves.append(_call(builder, "llvm.x86.avx2.pmadd.wd", ir.VectorType(_WORD, LANES // 2), *own))
-        return builder.add(total, _shuffled(builder, *halves, list(range(LANES))))
+        return builder.add(total, _shuffled(builder, halves, list(range(LANES))))
     for first in (0, 1):
         every_other = list(range(first, 2 * LANES, 2))
         own = [
-            builder.sext(_shuffled(builder, pairs, pairs, every_other), _WORDS) for pairs in (inputs, weights)
+            builder.sext(_shuffled(builder, (pairs, pairs), every_other), _WORDS)
+            for pairs in (inputs, weights)
         ]
         total = builder.add(total, builder.mul(*own))
     return total
@@ -267,7 +268,7 @@ def _cut_to_quads(code: _Code) -> Finish:
 
     def make(halves: list[list[Any]]) -> list[Any]:
         packed = [_call(builder, "llvm.x86.avx512.packuswb.512", _BYTES, *own) for own in halves]
-        return [_shuffled(builder, quads, quads, order) for quads in packed]
+        return [_shuffled(builder, (quads, quads), order) for quads in packed]
 
     return _to_quads(code, 0, limit, make)
 
@@ -280,14 +281,12 @@ def _look_up(code: _Code) -> Finish:
 
     def make(halves: list[list[Any]]) -> list[Any]:
         # The instruction takes the lowest 7 bits of an index. The other 3 choose among 8 results.
-        lower = [
-            _shuffled(builder, *(builder.bitcast(half, _BYTES) for half in own), order) for own in halves
-        ]
+        lower = [_shuffled(builder, [builder.bitcast(half, _BYTES) for half in own], order) for own in halves]
         doubled = [
             [builder.bitcast(builder.shl(half, _constant(_PAIRS, 1)), _BYTES) for half in own]
             for own in halves
         ]
-        upper = [_shuffled(builder, *own, [k + 1 for k in order]) for own in doubled]
+        upper = [_shuffled(builder, own, [k + 1 for k in order]) for own in doubled]
 
         def found(first: int, bits: int) -> list[Any]:
             """Look up what has its entry among those from the ``first`` on that so many bits can count."""
