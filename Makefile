@@ -44,7 +44,7 @@ test-torchrl: $(TORCHRL)/.torchrl
 # The benchmark of whole trainings with all that it compares: gymnax takes Gymnasium below 1.4, so they have an
 # environment of their own.
 test-peers: $(PEERS)/.peers
-	$(PEERS)/bin/python -m pytest --slow tests/benchmarks/test_training.py
+	$(PEERS)/bin/python -m pytest --slow tests/benchmarks/test_training.py tests/benchmarks/test_rollouts.py
 
 # Packages that nobody here wrote, on environments as they are; `make test` runs those that the other environment has.
 test-clients: $(CLIENTS)/.clients

@@ -16,6 +16,7 @@ from pearl_marl.batch.config import worlds_of
 from pearl_marl.devices import BatchConfig, Lockstep
 from pearl_marl.devices.replay import Replay
 from pearl_marl.errors import ArgumentError, LockstepError
+from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.spec import EnvSpec
 
 
@@ -78,25 +79,22 @@ def runs(
     return result
 
 
-def verify(run: Run, lockstep: Lockstep, seed: int) -> Iterator[Run]:
+def verify(run: Run, lockstep: Lockstep, seed: int, policy: DevicePolicy | None = None) -> Iterator[Run]:
     """Step a lockstep through a run, with a masked reset half way; yield the run after every step.
 
-    At the first word that differs it raises LockstepError.
+    With a policy it does rollouts: of one step, of two, and so on. At the first word that differs it raises
+    LockstepError.
     """
     lockstep.open(run.config)
     try:
         lockstep.reset(seed)
-        words = room_for_words(run.config.spec, run.config.n_agents)
         half = np.random.default_rng(seed).random(run.config.n_envs) < 0.5
-        for actions in sticky_actions(run.config.spec, run.config.n_agents, run.steps, seed):
-            # As words, since masked actions have to do the same on both too.
-            step = lockstep.step_words(encode(actions, run.config.spec, words))
-            run.taken += 1
-            run.episodes += int(np.count_nonzero(step.ended))
-            run.truncated += int(np.count_nonzero(step.truncations & ~step.terminations))
-            if run.taken == (run.steps + 1) // 2:
-                lockstep.reset(mask=half)
-            yield run
+        for done in _steps(run, lockstep, seed) if policy is None else _rollouts(run, lockstep, policy):
+            for _ in range(done):
+                run.taken += 1
+                if run.taken == (run.steps + 1) // 2:
+                    lockstep.reset(mask=half)
+                yield run
         lockstep.snapshot()
         run.exact = True
     except LockstepError:
@@ -105,6 +103,29 @@ def verify(run: Run, lockstep: Lockstep, seed: int) -> Iterator[Run]:
     finally:
         run.words = lockstep.words_compared
         lockstep.close()
+
+
+def _steps(run: Run, lockstep: Lockstep, seed: int) -> Iterator[int]:
+    """Do the steps of a run with random actions; yield 1 for each."""
+    words = room_for_words(run.config.spec, run.config.n_agents)
+    for actions in sticky_actions(run.config.spec, run.config.n_agents, run.steps, seed):
+        # As words, since masked actions have to do the same on both too.
+        step = lockstep.step_words(encode(actions, run.config.spec, words))
+        run.episodes += int(np.count_nonzero(step.ended))
+        run.truncated += int(np.count_nonzero(step.truncations & ~step.terminations))
+        yield 1
+
+
+def _rollouts(run: Run, lockstep: Lockstep, policy: DevicePolicy) -> Iterator[int]:
+    """Do the steps of a run in longer and longer rollouts; yield how many each does."""
+    steps = 1
+    while run.taken < run.steps:
+        done = min(steps, run.steps - run.taken)
+        result = lockstep.rollout(policy, done)
+        run.episodes += result.episodes
+        run.truncated += int(result.truncated.sum())
+        steps += 1
+        yield done
 
 
 def sticky_actions(spec: EnvSpec, n: int, steps: int, seed: int) -> Iterator[npt.NDArray[Any]]:

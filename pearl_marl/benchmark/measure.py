@@ -49,6 +49,7 @@ class Contender:
     wait: Callable[[], Any] = lambda: None
     unavailable: str | None = None
     seconds: list[float] = field(default_factory=list)
+    processor_seconds: list[float] = field(default_factory=list)
 
     @property
     def seconds_per_step(self) -> float:
@@ -59,6 +60,11 @@ class Contender:
     def rate(self) -> float:
         """Agent-steps per second."""
         return self.n / self.seconds_per_step
+
+    @property
+    def rate_of_a_core(self) -> float:
+        """Agent-steps per second of this process's processor time, all threads together."""
+        return self.n / statistics.median(self.processor_seconds)
 
     def row(self) -> dict[str, Any]:
         """Return the figures by name, for JSON."""
@@ -76,7 +82,8 @@ class Contender:
 def measure(contenders: list[Contender], rounds: int, seconds: float) -> Iterator[str]:
     """Time contenders ``rounds`` times, each for about ``seconds``; yield the name of the next.
 
-    Fills their ``seconds``; a contender that cannot run gets ``unavailable`` instead.
+    Fills their ``seconds`` and ``processor_seconds``; a contender that cannot run gets ``unavailable``
+    instead.
     """
     running: list[tuple[Contender, Step | Game, int]] = []
     for contender in contenders:
@@ -87,30 +94,43 @@ def measure(contenders: list[Contender], rounds: int, seconds: float) -> Iterato
             contender.unavailable = str(error)
             continue
         _time(step, 1, contender.wait)  # compilation and first use of memory
-        running.append((contender, step, max(1, round(seconds / _time(step, 1, contender.wait)))))
+        running.append((contender, step, max(1, round(seconds / _time(step, 1, contender.wait)[0]))))
     for _ in range(rounds):
         for contender, step, count in running:
             yield contender.name
-            contender.seconds.append(_time(step, count, contender.wait))
+            of_clock, of_processor = _time(step, count, contender.wait)
+            contender.seconds.append(of_clock)
+            contender.processor_seconds.append(of_processor)
     for _, step, _ in running:
         if hasattr(step, "close"):
             step.close()
 
 
-def _time(step: Step | Game, count: int, wait: Callable[[], Any]) -> float:
+def _time(step: Step | Game, count: int, wait: Callable[[], Any]) -> tuple[float, float]:
+    """Return the seconds that a step takes, and those of the processor in all of this process's threads."""
     if isinstance(step, Game):
-        return sum(_time_chosen(step, wait) for _ in range(count)) / count
-    began = time.perf_counter()
+        times = [_time_chosen(step, wait) for _ in range(count)]
+        return sum(of_clock for of_clock, _ in times) / count, sum(own for _, own in times) / count
+    began = _now()
     for _ in range(count):
         step()
     wait()
-    return (time.perf_counter() - began) / count
+    return _since(began, count)
 
 
-def _time_chosen(game: Game, wait: Callable[[], Any]) -> float:
+def _time_chosen(game: Game, wait: Callable[[], Any]) -> tuple[float, float]:
     actions = game.choose()
     wait()
-    began = time.perf_counter()
+    began = _now()
     game.step(actions)
     wait()
-    return time.perf_counter() - began
+    return _since(began, 1)
+
+
+def _now() -> tuple[float, float]:
+    return time.perf_counter(), time.process_time()
+
+
+def _since(began: tuple[float, float], count: int) -> tuple[float, float]:
+    of_clock, of_processor = (now - then for now, then in zip(_now(), began, strict=True))
+    return of_clock / count, of_processor / count

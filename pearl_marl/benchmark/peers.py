@@ -46,6 +46,14 @@ ENVPOOL_GAMES = {
 ENVPOOL_AGENTS = {"RobotWarehouse": 4}
 """How many agents these have, where ours has another number."""
 
+GYMNAX = {
+    "CartPole": "CartPole-v1",
+    "MountainCar": "MountainCar-v0",
+    "FrozenLake": "FrozenLake-misc",
+    "Seaquest": "Seaquest-MinAtar",
+}
+"""gymnax's names of environments, by ours."""
+
 ENVPOOL_SEEDED = (1, 2, 6)
 """The first version of EnvPool whose games of foraging start differently. It takes Python 3.12."""
 

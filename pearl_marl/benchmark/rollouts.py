@@ -1,4 +1,4 @@
-"""What ``pearl bench rollouts`` times: a policy beside the environments, and loops through the host."""
+"""What ``pearl bench rollouts`` times: policies beside the environments, and loops through the host."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import os
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pearl_marl.batch.config import BatchConfig, worlds_of
 from pearl_marl.batch.step import Array
 from pearl_marl.benchmark.measure import Contender, Step, UnavailableError
-from pearl_marl.benchmark.peers import envpool_of, installed, quiet_spaces
+from pearl_marl.benchmark.peers import GYMNAX, envpool_of, installed, quiet_spaces
 from pearl_marl.devices import Native
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies import Policy
@@ -36,7 +37,11 @@ def contenders(run: Path, network: IntegerNetwork, n: int) -> list[Contender]:
     evaluated = "the same, with every step's statistics and digest"
     evaluation = partial(_evaluation, run, network.spec, n)
     steps = evaluation().steps
-    peer = "a network of the same sizes in torch, on one thread; EnvPool, on all cores"
+    sizes = "a network of the same sizes"
+    envpool, gymnax = (
+        f"{sizes} in torch, on one thread; EnvPool, on all cores",
+        f"{sizes} in JAX; on all cores",
+    )
     ours: dict[str, tuple[str, int, Callable[[], Step]]] = {
         "rollout": (f"{integers}; one thread", n * STEPS, partial(_rollout, network, n, 1)),
         f"rollout, threads={cores}": (integers, n * STEPS, partial(_rollout, network, n, cores)),
@@ -44,7 +49,11 @@ def contenders(run: Path, network: IntegerNetwork, n: int) -> list[Contender]:
         "pearl eval": (evaluated, n * steps, lambda: evaluation),
     }
     rows = [Contender(name, counts, size, make, ours=True) for name, (counts, size, make) in ours.items()]
-    return [*rows, Contender("EnvPool, torch", peer, n, partial(_envpool, network, n))]
+    return [
+        *rows,
+        Contender("EnvPool, torch", envpool, n, partial(_envpool, network, n)),
+        Contender("gymnax, JAX", gymnax, n * STEPS, partial(gymnax_rollout, network, n)),
+    ]
 
 
 def _opened(spec: EnvSpec, n: int, threads: int) -> tuple[Native, Array]:
@@ -87,22 +96,30 @@ def _evaluation(run: Path, spec: EnvSpec, n: int) -> Evaluation:
     return evaluation
 
 
-def _envpool(network: IntegerNetwork, n: int) -> Step:
-    spec, inputs, layers = network.spec, network.inputs, network.layers
-    with installed("'.[train]'"):
-        import torch
+def _shapes(network: IntegerNetwork) -> list[tuple[int, int]]:
+    """Return outputs and inputs of each layer, or rows and actions of a table, for others' policies."""
+    spec, inputs = network.spec, network.inputs
     if spec.agents > 1 or not spec.action_counts:
         raise UnavailableError("compared for one agent that chooses a number")
-    torch.set_num_threads(1)
     if isinstance(inputs, Scaling):
-        parts: list[torch.nn.Module] = []
-        for layer in layers:
-            parts += [torch.nn.Linear(*reversed(layer.weights.shape)), torch.nn.Tanh()]
-        chosen: torch.nn.Module = torch.nn.Sequential(*parts[:-1])
-    elif isinstance(inputs, Rows) and len(layers) == 1:
-        chosen = torch.nn.Embedding(*inputs.table.shape)
+        return [layer.weights.shape for layer in network.layers]
+    if isinstance(inputs, Rows) and len(network.layers) == 1:
+        return [inputs.table.shape]
+    raise UnavailableError("compared for vectors and tables")
+
+
+def _envpool(network: IntegerNetwork, n: int) -> Step:
+    spec, shapes = network.spec, _shapes(network)
+    with installed("'.[train]'"):
+        import torch
+    torch.set_num_threads(1)
+    if isinstance(network.inputs, Rows):
+        chosen: torch.nn.Module = torch.nn.Embedding(*shapes[0])
     else:
-        raise UnavailableError("compared for vectors and tables")
+        parts: list[torch.nn.Module] = []
+        for outputs, width in shapes:
+            parts += [torch.nn.Linear(width, outputs), torch.nn.Tanh()]
+        chosen = torch.nn.Sequential(*parts[:-1])
     envs = envpool_of(spec, n)
     with quiet_spaces():
         last = [envs.reset()[0]]
@@ -113,3 +130,43 @@ def _envpool(network: IntegerNetwork, n: int) -> Step:
         last[0] = envs.step(actions.astype(envs.action_space.dtype))[0]
 
     return step
+
+
+def gymnax_rollout(network: IntegerNetwork, n: int) -> Step:
+    """Return a rollout of gymnax's form of an environment, with a network of the same sizes, in JAX."""
+    spec, shapes = network.spec, _shapes(network)
+    with installed("'.[peers]'"):
+        import gymnax
+        import jax
+    if spec.name not in GYMNAX:
+        raise UnavailableError(f"gymnax has no {spec.name}")
+    env, params = gymnax.make(GYMNAX[spec.name])
+    random = np.random.default_rng(0)
+    weights = [random.normal(size=shape).astype(np.float32) for shape in shapes]
+    step = jax.vmap(env.step, in_axes=(0, 0, 0, None))
+
+    def choose(obs: Any) -> Any:
+        if isinstance(network.inputs, Rows):
+            return jax.numpy.asarray(weights[0])[obs].argmax(1)
+        for layer in weights[:-1]:
+            obs = jax.numpy.tanh(obs @ layer.T)
+        return (obs @ weights[-1].T).argmax(1)
+
+    def once(carry: Any, _: Any) -> Any:
+        obs, states, key = carry
+        key, own = jax.random.split(key)
+        obs, states, rewards, *_ = step(jax.random.split(own, n), states, choose(obs), params)
+        return (obs, states, key), rewards.sum()
+
+    @partial(jax.jit, donate_argnums=0)
+    def rollout(carry: Any) -> Any:
+        return jax.lax.scan(once, carry, None, STEPS)
+
+    key, resetting = jax.random.split(jax.random.key(0))
+    last = [(*jax.vmap(env.reset, in_axes=(0, None))(jax.random.split(resetting, n), params), key)]
+
+    def run() -> None:
+        last[0], rewards = rollout(last[0])
+        rewards.block_until_ready()
+
+    return run

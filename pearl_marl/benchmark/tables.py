@@ -65,12 +65,19 @@ def rollouts_table(contenders: Iterable[Contender]) -> Table:
     """Return a row for each way to act and step; ``x`` is what the first one does over it."""
     first, *others = (contender for contender in contenders if contender.unavailable is None)
     return Table(
-        ("", "policy steps/s", "x", "what is counted"),
+        ("", "policy steps/s", "x", "of a core", "x", "what is counted"),
         [
-            (c.name, rate(c.rate), "" if c is first else times(first.rate / c.rate), c.counts)
+            (
+                c.name,
+                rate(c.rate),
+                "" if c is first else times(first.rate / c.rate),
+                rate(c.rate_of_a_core),
+                "" if c is first else times(first.rate_of_a_core / c.rate_of_a_core),
+                c.counts,
+            )
             for c in (first, *others)
         ],
-        (0, 3),
+        (0, 5),
     )
 
 

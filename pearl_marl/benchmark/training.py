@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
+from pearl_marl.benchmark.peers import GYMNAX
 from pearl_marl.envs import get_spec
 from pearl_marl.training.run import settings_for
 
@@ -111,7 +112,7 @@ TRAINERS = (
         "purejaxrl",
         "PPO",
         ("jax", "gymnax", "optax"),
-        ("CartPole", "MountainCar", "FrozenLake", "Seaquest"),
+        tuple(GYMNAX),
     ),
     TrainerModule(
         PUFFERLIB,

@@ -122,7 +122,7 @@ def measure_rollouts(
     as_json: common.AsJson = False,
     as_markdown: common.AsMarkdown = False,
 ) -> None:
-    """Measure policy steps per second: of rollouts, of the loop of pearl eval, and of EnvPool with torch."""
+    """Measure policy steps per second: rollouts, the loop of pearl eval, EnvPool with torch, gymnax."""
     from pearl_marl.policies.integer_file import load_policy
 
     checked_number("--seconds", seconds, 0, MOST_SECONDS)
@@ -134,10 +134,17 @@ def measure_rollouts(
     common.check_results(out, file)
     rows = rollouts.contenders(run, network, n_agents)
     result = _measured(spec, n_agents, rows, [], rounds, seconds) | {"actions": "Those of the policy."}
+    for row, figures in zip(rows, result["contenders"], strict=True):
+        if row.unavailable is None:
+            figures["steps_per_core_second"] = row.rate_of_a_core
     if common.delivered(result, as_json, out, file):
         return
     absent = [f"{row.name}: {row.unavailable}." for row in rows if row.unavailable is not None]
-    notes = (*absent, f"x is the first row over another. {n_agents:,} agents; {_medians(result)}")
+    notes = (
+        *absent,
+        "x is the first row over another. Of a core: a second of processor time, in all threads together.",
+        f"{n_agents:,} agents; {_medians(result)}",
+    )
     common.print_table(f"{spec.id}: acting and stepping", rollouts_table(rows), notes, as_markdown)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -20,6 +21,9 @@ from pearl_marl.hardware.elaboration import clocked
 from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.latency import LINKS, Link, loop_cycles
 from pearl_marl.latency.planning import Plan, plan
+from pearl_marl.latency.rollout_planning import plan_rollouts
+from pearl_marl.policies.integer_file import load_policy
+from pearl_marl.spec import EnvSpec
 
 Slots = Annotated[int, typer.Option("--n-envs", min=1, help="Number of slots (worlds) of the design.")]
 LinkName = Annotated[
@@ -46,6 +50,14 @@ OnePeNum = Annotated[
     int | None, typer.Option("--pe-num", help="Consider only this number of processing elements.")
 ]
 OneDataWl = Annotated[int | None, typer.Option("--data-wl", help="Consider only words of this many bits.")]
+PolicyFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--policy",
+        metavar="FILE",
+        help="Plan for rollouts of this policy of `pearl quantize`, which move nothing over the link.",
+    ),
+]
 
 
 def command(
@@ -56,6 +68,7 @@ def command(
     clock: Clock = BOARDS["vc707"].clock_mhz,
     pe_num: OnePeNum = None,
     data_wl: OneDataWl = None,
+    policy: PolicyFile = None,
     option: common.Options = None,
     out: common.Out = None,
     as_json: common.AsJson = False,
@@ -65,10 +78,14 @@ def command(
     The smallest build that is nearly the fastest. Where its cores would take more than a quarter of the
     part's multipliers, they are fewer, as long as they compute a step in less time than the link moves it.
 
-    A prediction: clock cycles are counted, the host's part is measured here, the link's is as stated.
+    A prediction: clock cycles are counted, the host's part is measured here, the link's is as stated. With
+    --policy, multipliers are divided between cores and policy engine.
     """
     spec = common.spec_of(env_id, option)
     checked_choice("--part", part, (*PARTS, ANY))
+    if policy is not None:
+        _for_rollouts(spec, policy, n_envs, part, clock, pe_num, data_wl, out, as_json)
+        return
     taken = _link(link)
     file = f"plan_{spec.name}_{n_envs}.json"
     common.check_results(out, file)
@@ -107,6 +124,57 @@ def command(
     console.print(_stages(result, found))
     for sentence in _sentences(result, found):
         console.print(sentence, soft_wrap=True)
+
+
+def _for_rollouts(
+    spec: EnvSpec,
+    file: Path,
+    n_envs: int,
+    part: str,
+    clock: float,
+    pe_num: int | None,
+    data_wl: int | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Plan for rollouts of a policy."""
+    policy = load_policy(file)
+    if (policy.spec.id, policy.spec.options) != (spec.id, spec.options):
+        raise ArgumentError(f"{file} is for {policy.spec.id}, and the plan for {spec.id}")
+    name = f"plan_rollouts_{spec.name}_{n_envs}.json"
+    common.check_results(out, name)
+    found = plan_rollouts(policy, n_envs, clock * 1e6, PARTS.get(part), pe_num, data_wl)
+    best, *_ = found
+    result = {
+        "environment": spec.id,
+        "options": dict(spec.options),
+        "policy": str(file),
+        "n_envs": n_envs,
+        "clock_mhz": clock,
+        "part": part,
+        "chosen": best.as_json(),
+        "candidates": [candidate.as_json() for candidate in found],
+        "machine": machine(),
+    }
+    if common.delivered(result, as_json, out, name):
+        return
+    columns = ["PEs", "side", "cycles", "steps/s", "core DSP", "engine DSP"]
+    grid = common.table(f"{spec.id}, {n_envs:,} slots: rollouts at {clock:g} MHz", [], columns)
+    grid.add_column("limit", no_wrap=True)
+    for candidate in sorted(found, key=lambda one: one.layout.pe_num):
+        engine, chosen = candidate.layout.engine, candidate is best
+        side = "-" if engine is None or engine.kind == "table" else f"{engine.side:,}"
+        figures = (candidate.layout.pe_num, candidate.cycles, candidate.core_dsp, candidate.engine_dsp)
+        pes, cycles, cores, multipliers = (f"{figure:,}" for figure in figures)
+        limit = f"{candidate.limit}{' (chosen)' if chosen else ''}"
+        cells = pes, side, cycles, rate(candidate.rate), cores, multipliers, limit
+        grid.add_row(*cells, style="bold green" if chosen else None)
+    console.print(grid)
+    common.say(
+        f"What limits: the {best.limit}. DSP: {best.core_dsp + best.engine_dsp:,}{_of(part, 'dsp')}; those "
+        "of drawn actions, and the block RAM of weights, are not counted. Side: groups of slots that the "
+        "engine computes side by side."
+    )
 
 
 def _link(text: str) -> Link:

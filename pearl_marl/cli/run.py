@@ -23,6 +23,7 @@ from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation.episodes import EpisodeStatistics
 from pearl_marl.evaluation.machine import machine
 from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
+from pearl_marl.policies.integer_file import load_policy
 from pearl_marl.rendering import VIDEO_STEPS, VIDEO_WORLDS, HeatMap, Video
 from pearl_marl.spec import MAX_CYCLES, EnvSpec
 
@@ -43,6 +44,14 @@ VideoFile = Annotated[
         help=f"Write a film of the first {VIDEO_WORLDS} worlds in the first {VIDEO_STEPS} steps.",
     ),
 ]
+PolicyFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--policy",
+        metavar="FILE",
+        help="A policy of `pearl quantize`, which acts in a rollout, instead of random actions.",
+    ),
+]
 MaxCycles = Annotated[
     int | None,
     typer.Option("--max-cycles", min=0, max=MAX_CYCLES, help="Time limit of an episode, 0 for none."),
@@ -57,14 +66,24 @@ def command(
     seed: common.Seed = 0,
     max_cycles: MaxCycles = None,
     actions: ActionFile = None,
+    policy: PolicyFile = None,
     video: VideoFile = None,
     option: common.Options = None,
     out: common.Out = None,
     as_json: common.AsJson = False,
 ) -> None:
-    """Step every agent with random (or given) actions: throughput and episode statistics."""
+    """Step every agent with random (or given) actions, or a policy's: throughput and episode statistics."""
     spec = common.spec_of(env_id, option)
     n_agents = common.agents_of(spec, n_agents)
+    if policy is not None:
+        if actions is not None or video is not None:
+            raise ArgumentError("--policy acts in a rollout, in one call: leave out --actions and --video")
+        common.check_results(out, "run.json")
+        env = parallel_env(env_id, n_agents, device=device, max_cycles=max_cycles, **spec.options)
+        result = _rolled_out(env, policy, steps, seed, device)
+        if not common.delivered(result, as_json, out, "run.json"):
+            console.print(_table(result))
+        return
     common.check_results(out, "run.json", *(["heat_map.png"] if spec.grid else []))
     if video is not None:
         common.check_file("--video", video)
@@ -134,6 +153,42 @@ def command(
         common.say(f"Wrote {path}")
 
 
+def _rolled_out(env: PearlParallelEnv, policy: Path, steps: int, seed: int, device: str) -> dict[str, Any]:
+    """Return the figures of a rollout."""
+    with contextlib.closing(env):
+        acting, n = load_policy(policy), env.batch_size
+        env.reset_batch(seed)
+        env.rollout(acting, 1)  # loads the loop, or compiles it
+        env.reset_batch(seed)
+        began = time.perf_counter()
+        result = env.rollout(acting, steps)
+        seconds = time.perf_counter() - began
+    spread = None
+    if result.mean_return is not None and not np.isnan(result.squares).any():
+        variance = result.squares.sum() / result.episodes - result.mean_return**2
+        spread = float(np.sqrt(max(variance, 0.0)))
+    return {
+        "environment": env.spec.id,
+        "options": dict(env.spec.options),
+        "device": device,
+        "simulated": common.simulated(device),
+        "policy": str(policy),
+        "n_agents": n,
+        "steps": steps,
+        "seed": seed,
+        "agent_steps": steps * n,
+        "counts": "one rollout, the policy included",
+        "agent_steps_per_second": steps * n / seconds,
+        "microseconds_per_step": seconds / steps * 1e6,
+        "episodes": result.episodes,
+        "truncated": int(result.truncated.sum()),
+        "return_mean": result.mean_return,
+        "return_std": spread,
+        "length_mean": result.mean_length,
+        "machine": machine(),
+    }
+
+
 def _random(env: PearlParallelEnv, steps: int, seed: int) -> Iterator[npt.NDArray[Any]]:
     """Yield random actions, of those that agents may take."""
     rng = np.random.default_rng(seed)
@@ -164,14 +219,16 @@ def _table(result: dict[str, Any]) -> Table:
     )
     table.add_row("throughput", f"{rate(result['agent_steps_per_second'])} agent-steps/s")
     table.add_row("one step of all agents", f"{duration(step_seconds)} ({result['counts']})")
-    first = duration(result["first_step_microseconds"] * 1e-6)
-    table.add_row("first step", f"{first} (loads the kernel; the first time ever compiles it)")
+    if "first_step_microseconds" in result:
+        first = duration(result["first_step_microseconds"] * 1e-6)
+        table.add_row("first step", f"{first} (loads the kernel; the first time ever compiles it)")
     table.add_row("episodes finished", f"{result['episodes']:,}, of them truncated {result['truncated']:,}")
     if result["episodes"]:
-        span = f"{result['return_min']:g} to {result['return_max']:g}"
-        table.add_row(
-            "return",
-            f"{result['return_mean']:.2f}, standard deviation {result['return_std']:.2f}, from {span}",
-        )
-        table.add_row("length", f"{result['length_mean']:.1f}, standard deviation {result['length_std']:.1f}")
+        for name, digits in (("return", 2), ("length", 1)):
+            text = f"{result[f'{name}_mean']:.{digits}f}"
+            if (spread := result.get(f"{name}_std")) is not None:
+                text += f", standard deviation {spread:.{digits}f}"
+            if f"{name}_min" in result:
+                text += f", from {result[f'{name}_min']:g} to {result[f'{name}_max']:g}"
+            table.add_row(name, text)
     return table

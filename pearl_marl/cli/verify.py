@@ -15,10 +15,13 @@ from rich.table import Table
 from pearl_marl.checks import MANY
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console, error_console
-from pearl_marl.devices import Lockstep
+from pearl_marl.devices import Device, Lockstep, Rtl
 from pearl_marl.devices.replay import Replay
 from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
+from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.engines import with_engine
+from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.spec import MAX_CYCLES, EnvSpec
 from pearl_marl.verification import Run, replay, runs, verify
 
@@ -98,6 +101,15 @@ Mode = Annotated[
     Autoreset | None,
     typer.Option("--autoreset-mode", help="When a world that ended starts again.", show_default="both"),
 ]
+RolledOut = Annotated[
+    Path | None,
+    typer.Option(
+        "--policy",
+        metavar="FILE",
+        help="Do rollouts of a policy of `pearl quantize`, not steps with random actions; the device `rtl` "
+        "gets an engine for it.",
+    ),
+]
 InitialStates = Annotated[
     Starts | None,
     typer.Option("--initial-states", help="Where episodes begin.", show_default="both"),
@@ -114,6 +126,7 @@ def command(
     max_cycles: MaxCycles = None,
     autoreset_mode: Mode = None,
     initial_states: InitialStates = None,
+    policy: RolledOut = None,
     option: common.Options = None,
     env: EnvOfFile = None,
     against: Against = None,
@@ -127,7 +140,7 @@ def command(
     written as a file that `pearl verify FILE` replays. 2: the call was refused.
     """
     if against is not None:
-        others = device, reference, n_agents, max_cycles, autoreset_mode, initial_states, env, out
+        others = device, reference, n_agents, max_cycles, autoreset_mode, initial_states, policy, env, out
         if any(given is not None for given in others):
             raise ArgumentError(
                 "--against compares golden functions with an original: of the options it takes --steps, "
@@ -138,7 +151,7 @@ def command(
     if original_option is not None:
         raise ArgumentError("--original-option is about the original of --against: give one")
     if subject.endswith(".json") or Path(subject).is_file():
-        modes = n_agents, max_cycles, autoreset_mode, initial_states, option, out
+        modes = n_agents, max_cycles, autoreset_mode, initial_states, policy, option, out
         if any(given is not None for given in modes) or (steps, seed) != (STEPS, 0):
             raise ArgumentError(
                 f"{subject} is one recorded call: of the options, it takes --env, --device, --reference and "
@@ -160,6 +173,9 @@ def command(
     mode = None if autoreset_mode is None else AutoresetMode[autoreset_mode.name]
     plan = runs(spec, n_agents, steps, mode, initial_states and initial_states.value, max_cycles)
     device, reference = device or "native", reference or "reference"
+    if policy is not None and out is not None:
+        raise ArgumentError("--out is for a file that is replayed, which rollouts have none of: leave it out")
+    acting = common.engine_policy(policy)
     if device == reference:
         raise ArgumentError(
             f"--device and --reference are both {device!r}, which always agrees with itself: name another one"
@@ -169,7 +185,11 @@ def command(
     parted: LockstepError | None = None
     path = None
     try:
-        steps_of_all = (step for run in plan for step in verify(run, Lockstep(device, reference), seed))
+        steps_of_all = (
+            step
+            for run in plan
+            for step in verify(run, Lockstep(_checked(device, run, acting), reference), seed, acting)
+        )
         label = f"{spec.name} on {device}, {n_agents:,} agents"
         for _ in common.progress(steps_of_all, sum(run.steps for run in plan), label):
             pass
@@ -208,6 +228,13 @@ def command(
             "Warning: no episode ended, so no restart was compared. Take more --steps or --n-agents.",
             style="yellow",
         )
+
+
+def _checked(device: str, run: Run, policy: DevicePolicy | None) -> str | Device:
+    """Return the device to check: the simulated hardware has the engine that a policy needs."""
+    if policy is None or device != "rtl":
+        return device
+    return Rtl(engine=with_engine(Build.of(run.config.spec, run.config.n_envs), policy).layout.engine)
 
 
 def _against(

@@ -20,7 +20,7 @@ SomeEnvs = Annotated[
 
 
 def command(env_ids: SomeEnvs = None, option: common.Options = None, as_json: common.AsJson = False) -> None:
-    """Compile ahead, for images and clusters: the kernels of some environments, or all and the trainers."""
+    """Compile ahead, for images and clusters: some environments, or all and the trainers."""
     from pearl_marl.base.cache import cache_folder, is_kept
     from pearl_marl.devices.warming import Warmed, warm_all
 

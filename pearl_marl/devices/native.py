@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
-import statistics
 import time
 from functools import partial
 from typing import Any
@@ -27,26 +25,20 @@ from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device, Phase
 from pearl_marl.devices.native_rollout import Batch, addresses_for, compiled_rollout
 from pearl_marl.devices.rollouts import Record, Sums, element_dtype, in_parts
-from pearl_marl.devices.threads import Threads
+from pearl_marl.devices.threads import ThreadCount, Threads, cores
 from pearl_marl.errors import ActionError
 from pearl_marl.golden import rng
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.integer_loops import Prepared, prepared
 from pearl_marl.policies.integer_network import IntegerNetwork
 
-SLOW_STEP_SECONDS = 300e-6
-"""From here on a second thread can pay: handing it work and waiting for it costs about 50 us."""
-
-SECONDS_PER_THREAD = 150e-6
-"""The least work a thread is taken for."""
-
 _TICK = STEP_ARGUMENTS.index("tick")
 _SEEDS = slice(STEP_ARGUMENTS.index("seed_0"), STEP_ARGUMENTS.index("seed_1") + 1)
 
 _READY = Phase.READY  # an enum's members are looked up slowly
 
-TRIAL_STEPS = 5
-"""Steps in a row that decide: a single one may only have been interrupted."""
+TRIAL_STEPS, TRIAL_PARTS = 5, 2
+"""Steps in a row, and parts of a rollout, that decide how many threads they take."""
 
 
 class Native(Device):
@@ -55,17 +47,15 @@ class Native(Device):
     Parameters
     ----------
     threads
-        How many threads share a step. ``None`` starts with one, takes more once steps prove long
-        enough, and gives them up again if they do not help. Results are the same.
+        How many threads share a step, or a rollout. ``None`` starts with one, takes more once steps prove
+        long enough, and gives them up again if they do not help. Results are the same.
     """
 
     name = "native"
 
     def __init__(self, threads: int | None = None) -> None:
-        self._threads = checked_count_or_none("threads", threads) or 1
-        self._tuning = threads is None and _cores() > 1
-        self._recent: list[float] = []
-        self._alone = 0.0
+        threads = checked_count_or_none("threads", threads)
+        self._threads, self._of_rollouts = (ThreadCount(threads, n) for n in (TRIAL_STEPS, TRIAL_PARTS))
 
     @property
     def tick(self) -> int:
@@ -101,7 +91,7 @@ class Native(Device):
         self._set("checked", self._checks)
         self._addresses: Array | None = None
         self._seed: tuple[int, int] | None = None
-        self._pool = Threads(max(self._threads, _cores()), "pearl-native")
+        self._pool = Threads(max(self._threads.now, cores()), "pearl-native")
 
     def _count(self, config: BatchConfig, elapsed: Array) -> None:
         """Keep elapsed steps in the narrowest words that can count on: every step reads and writes them all.
@@ -120,16 +110,16 @@ class Native(Device):
         """Change an argument of every step."""
         self._arguments[STEP_ARGUMENTS.index(name)] = value
 
-    def _run(self, kernel: Any, arguments: tuple[Any, ...]) -> Any:
+    def _run(self, threads: int, kernel: Any, arguments: tuple[Any, ...]) -> Any:
         """Call ``kernel(*arguments, lo, hi)`` for every range, one of them on this thread.
 
         Where there is only one range, return what it returns.
         """
         n = self.config.n_envs
-        if self._threads == 1:
+        if threads == 1:
             return kernel(*arguments, 0, n)
         blocks = -(-n // BLOCK)
-        parts = min(self._threads, blocks)
+        parts = min(threads, blocks)
         # Ranges end where blocks do.
         edges = [blocks * i // parts * BLOCK for i in range(parts)] + [n]
         first, *others = itertools.pairwise(edges)
@@ -148,7 +138,7 @@ class Native(Device):
         observed = results.obs, *results.arrays[5:]
         again = use_stored and mask is not None
         position = (*self.seed, rng.signed(self.tick), config.first_slot, again, n)
-        self._run(self._kernels.reset, (self._memory, stored, flags, observed, *position))
+        self._run(self._threads.now, self._kernels.reset, (self._memory, stored, flags, observed, *position))
         self._elapsed[slice(None) if mask is None else mask] = 0
         if use_stored and mask is None:
             stored[:] = self._read()[0]
@@ -157,7 +147,9 @@ class Native(Device):
     def step(self, actions: npt.ArrayLike) -> BatchStep:
         """Step every slot once; see :meth:`Device.step`."""
         # The kernel looks at the actions itself, where no other thread has begun by then.
-        if not (self.phase is _READY and self._checks and self._threads == 1 and self.stage_seconds is None):
+        if not (
+            self.phase is _READY and self._checks and self._threads.now == 1 and self.stage_seconds is None
+        ):
             return super().step(actions)
         if not are_words(actions, self._words):
             actions = self.encoded(actions)
@@ -177,7 +169,8 @@ class Native(Device):
     def _step(self, actions: Array) -> BatchStep:
         results, block = self._results.take_block()
         addresses = block.addresses
-        began = time.perf_counter() if self._tuning else 0.0
+        threads = self._threads
+        began = time.perf_counter() if threads.tuning else 0.0
         arguments = self._arguments
         # They may be results of the last step, which this one writes over, unless they own their memory.
         if (
@@ -194,10 +187,10 @@ class Native(Device):
             arguments[_SEEDS] = self._seed = self.seed
         if actions.ndim > 1:  # to the kernel, fields of one agent are like more agents of a slot
             actions = actions.reshape(-1)
-        if not self._run(self._kernels.step, (arguments, actions, self.reward_table)):
+        if not self._run(threads.now, self._kernels.step, (arguments, actions, self.reward_table)):
             raise self.action_rules.refusal(actions)
-        if self._tuning:
-            self._tune(time.perf_counter() - began)
+        if threads.tuning:
+            threads.learn(time.perf_counter() - began)
         return results
 
     def _rollout(
@@ -231,24 +224,11 @@ class Native(Device):
         batch.put_into(arguments)
         agents = self.config.spec.agents
         whole = *addresses, arguments, self.reward_table, network, batch, sums, record, agents, steps
-        self._run(compiled_rollout(), whole)
+        began = time.perf_counter()
+        self._run(self._of_rollouts.now, compiled_rollout(), whole)
+        if self._of_rollouts.tuning:
+            self._of_rollouts.learn(time.perf_counter() - began, steps)
         self.tick = (self.tick + steps) & rng.LAST_TICK
-
-    def _tune(self, seconds: float) -> None:
-        """Learn from one step's time: take more threads for long steps, keep them if they help."""
-        self._recent.append(seconds)
-        if self._threads == 1 and seconds < SLOW_STEP_SECONDS:
-            self._recent.clear()
-        if len(self._recent) < TRIAL_STEPS:
-            return
-        typical = statistics.median(self._recent)
-        self._recent.clear()
-        if self._threads == 1:
-            self._alone = typical
-            self._threads = min(_cores(), max(2, round(typical / SECONDS_PER_THREAD)))
-        else:
-            self._threads = self._threads if typical < self._alone else 1
-            self._tuning = False
 
     def _read(self) -> tuple[Array, Array]:
         self._slots.elapsed[:] = self._elapsed
@@ -267,8 +247,3 @@ class Native(Device):
 
     def _close(self) -> None:
         self._pool.close()
-
-
-def _cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

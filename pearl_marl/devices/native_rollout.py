@@ -24,7 +24,7 @@ from pearl_marl.golden import rng
 from pearl_marl.golden.rng import CHAIN_A, CHAIN_B
 from pearl_marl.policies import device_policy, integer_loops
 from pearl_marl.policies.device_policy import FIRST_DRAW
-from pearl_marl.policies.integer_loops import Prepared, allocating, compiled_act
+from pearl_marl.policies.integer_loops import Prepared, called, compiled_act
 
 TICK, SEED_0, SEED_1, FIRST_SLOT, NEXT_STEP = map(
     STEP_ARGUMENTS.index, ("tick", "seed_0", "seed_1", "first_slot", "next_step")
@@ -78,27 +78,35 @@ class Batch(NamedTuple):
             arguments[STEP_ARGUMENTS.index(name)] = array.ctypes.data
 
 
-@allocating
-def _put(words: Array, actions: Array) -> None:
-    for i in range(len(words)):
-        actions[i] = words[i]
+@called
+def _put(own: Array, to: Array) -> None:
+    """Copy a row: to assign it takes Numba seconds to compile, for the message of another length."""
+    for i in range(np.uint64(len(own))):
+        to[i] = own[i]
 
 
-@allocating
+@called
+def _copy(own: Array, to: Array) -> None:
+    for i in range(len(own)):
+        _put(own[i], to[i])
+
+
+@called
 def _add(sums: Sums, batch: Batch, first: int, n: int, t: int, next_step: int) -> None:
     """Add a step of ``n`` agents to the sums; lengths are less by the steps before the present one."""
     rewards, terminations = batch.rewards[first : first + n], batch.terminations[first : first + n]
     truncations, waiting = batch.truncations[first : first + n], sums.waiting[first : first + n]
     running, present = sums.running[first : first + n], batch.present[first : first + n]
-    for i in range(n):
-        running[i] += rewards[i] if waiting[i] == 0 else np.float32(0)
-    for start in range(0, n, 64):
-        end, some = min(start + 64, n), 0
-        for i in range(start, end):
-            some |= terminations[i] | truncations[i] | waiting[i]
+    # Of unsigned indices none counts from the end, so that these loops are vectorised.
+    for k in range(np.uint64(n)):
+        running[k] += rewards[k] if waiting[k] == 0 else np.float32(0)
+    for start in range(np.uint64(0), np.uint64(n), np.uint64(64)):
+        end, some = min(start + np.uint64(64), np.uint64(n)), np.uint8(0)
+        for k in range(start, end):
+            some |= terminations[k] | truncations[k] | waiting[k]
         if not some:
             continue
-        for i in range(start, end):
+        for i in range(np.int64(start), np.int64(end)):
             # All agents are present again when their world has ended.
             later = (2 if next_step else 0) if present[i] else 1
             if waiting[i]:
@@ -117,7 +125,7 @@ def _add(sums: Sums, batch: Batch, first: int, n: int, t: int, next_step: int) -
                 waiting[i] = later
 
 
-@allocating
+@called
 def _make_draws(arguments: Array, tick: Any, agents: int, b: int, draws: Array) -> None:
     """Make the draws of a block's agents."""
     seed_0, seed_1 = np.uint32(arguments[SEED_0]), np.uint32(arguments[SEED_1])
@@ -148,12 +156,13 @@ def _rollout(act, step, arguments, table, net, batch, sums, record, agents, step
         elements, masks = batch.elements[first * row : last * row], batch.masks[first:last]
         own, of_block = words[:n], draws[:n]
         flat, actions = own.reshape(-1), batch.actions[first * fields * size : last * fields * size]
+        to_act, to_step = (net, elements, masks, of_block, own, logits), (mine, batch.actions, table, b, e)
         for t in range(steps):
             tick = arguments[TICK] + np.uint64(t)
             mine[TICK] = tick
             if net.draws:
                 _make_draws(arguments, tick, agents, b, of_block)
-            call_act(act, (net, elements, masks, of_block, own, logits))
+            call_act(act, to_act)
             if size == 1:
                 _put(flat, actions)
             elif size == 2:
@@ -163,17 +172,17 @@ def _rollout(act, step, arguments, table, net, batch, sums, record, agents, step
             else:
                 _put(flat, actions.view(np.int64))
             if keep:
-                record.elements[t, first:last] = elements.reshape((n, row))
-                record.words[t, first:last] = own
-                record.logits[t, first:last] = logits[:n]
+                _copy(elements.reshape((n, row)), record.elements[t, first:last])
+                _copy(own, record.words[t, first:last])
+                _copy(logits[:n], record.logits[t, first:last])
                 if masked:
-                    record.masks[t, first:last] = masks
-            call_step(step, (mine, batch.actions, table, b, e))
+                    _copy(masks, record.masks[t, first:last])
+            call_step(step, to_step)
             _add(sums, batch, first, n, t, arguments[NEXT_STEP])
             if keep:
-                record.rewards[t, first:last] = batch.rewards[first:last]
-                record.terminations[t, first:last] = batch.terminations[first:last]
-                record.truncations[t, first:last] = batch.truncations[first:last]
+                _put(batch.rewards[first:last], record.rewards[t, first:last])
+                _put(batch.terminations[first:last], record.terminations[t, first:last])
+                _put(batch.truncations[first:last], record.truncations[t, first:last])
         for i in range(first, last):
             sums.length[i] += steps
 

@@ -1,4 +1,4 @@
-"""Threads that a device owns.
+"""Threads that a device owns, and how many of them pay.
 
 A fork of the process waits for what they are at. The new process has the memory but no threads, so a step
 under way would never end there.
@@ -7,6 +7,7 @@ under way would never end there.
 from __future__ import annotations
 
 import os
+import statistics
 import threading
 import weakref
 from collections.abc import Callable
@@ -14,6 +15,12 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any, TypeVar
 
 T = TypeVar("T")
+
+SLOW_SECONDS = 300e-6
+"""From here on a second thread can pay: handing it work and waiting for it costs about 50 us."""
+
+SECONDS_PER_THREAD = 150e-6
+"""The least work a thread is taken for."""
 
 
 class Threads:
@@ -52,6 +59,47 @@ class Threads:
         if self._pool is not None and self._process == os.getpid():
             self._pool.shutdown(wait=True)
         self._pool = None
+
+
+class ThreadCount:
+    """How many threads share a task that is done again and again.
+
+    Parameters
+    ----------
+    threads
+        So many; ``None`` begins with one, takes more once the task proves long enough, and gives them up
+        again if they do not help.
+    trials
+        Tasks in a row that decide: a single one may only have been interrupted.
+    """
+
+    def __init__(self, threads: int | None, trials: int) -> None:
+        self.now = threads or 1
+        self.tuning = threads is None and cores() > 1
+        self._trials = trials
+        self._recent: list[tuple[float, float]] = []
+        self._alone = 0.0
+
+    def learn(self, seconds: float, work: int = 1) -> None:
+        """Learn from the time that the task took, and from how much there was to do."""
+        self._recent.append((seconds, seconds / work))
+        if self.now == 1 and seconds < SLOW_SECONDS:
+            self._recent.clear()
+        if len(self._recent) < self._trials:
+            return
+        whole, each = (statistics.median(some) for some in zip(*self._recent, strict=True))
+        self._recent.clear()
+        if self.now == 1:
+            self._alone = each
+            self.now = min(cores(), max(2, round(whole / SECONDS_PER_THREAD)))
+        else:
+            self.now = self.now if each < self._alone else 1
+            self.tuning = False
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _become_member(members: set[int]) -> None:

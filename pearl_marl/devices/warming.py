@@ -20,6 +20,7 @@ from pearl_marl.batch.config import BatchConfig
 from pearl_marl.compiler.packing import FORMS, observed_as
 from pearl_marl.devices.native import Native
 from pearl_marl.envs import get_spec
+from pearl_marl.policies.integer_network import unchanging_network
 
 
 class Warmed(NamedTuple):
@@ -41,7 +42,10 @@ def compiled_by(work: Callable[[], None]) -> int:
 
 
 def warm(env_id: str, options: dict[str, Any]) -> Warmed:
-    """Reset and step an environment, in every form of its observations: the cache then has its kernels."""
+    """Reset, step and roll out an environment in every form of its observations, which fills the cache.
+
+    What all rollouts have in common is compiled with the first.
+    """
     began = time.perf_counter()
     spec = get_spec(env_id).with_options(**options)
 
@@ -51,6 +55,8 @@ def warm(env_id: str, options: dict[str, Any]) -> Warmed:
             device.reset(seed=0)
             masks: Any = device.action_masks
             device.step(random_actions(spec, np.random.default_rng(0), spec.agents, masks))
+            if form == FORMS[0]:
+                device.rollout(unchanging_network(device.config.spec), 1)
             device.close()
 
     compiled = compiled_by(step_once)

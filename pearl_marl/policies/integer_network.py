@@ -201,6 +201,20 @@ def table_network(spec: EnvSpec, values: Array) -> IntegerNetwork:
     return IntegerNetwork(spec, rows, np.zeros((0, actions), np.int32), (layer,), Head((actions,)))
 
 
+def unchanging_network(spec: EnvSpec) -> IntegerNetwork:
+    """Return the policy that always takes the first action, or a ``Box``'s 0 or what is nearest to it."""
+    size, outputs = spec.observation_size, sum(spec.action_counts) or len(spec.action_fields)
+    none = np.zeros(size, np.int64)
+    head: Head | Levels = Head(spec.action_counts)
+    if not spec.action_counts:
+        zero = np.zeros(outputs, np.int64)
+        low, high = np.array([field.range for field in spec.action_fields], np.int64).T
+        head = Levels(zero, zero, 0, low, high)
+    layer = Dense(np.zeros((outputs, size), np.int16), np.zeros(outputs, np.int32))
+    indicator = np.zeros((0, outputs), np.int32)
+    return IntegerNetwork(spec, Scaling(none, none, none, 1), indicator, (layer,), head)
+
+
 def _check(network: IntegerNetwork) -> None:
     """Refuse a network whose shapes do not follow from each other, or whose sums might not fit."""
     spec, inputs, layers = network.spec, network.inputs, network.layers

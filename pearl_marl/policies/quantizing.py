@@ -25,6 +25,7 @@ from pearl_marl.policies.integer_network import (
 )
 from pearl_marl.policies.network import Network
 from pearl_marl.policies.trained import NetworkPolicy, Table
+from pearl_marl.spec.elements import bounds
 
 INPUT_STEPS = 128
 """Inputs that are standardised are counted in parts of a standard deviation: so many."""
@@ -61,7 +62,7 @@ def quantized(
     ------
     ArgumentError
         The widths are impossible, the policy has a network of its own for each agent of a world, or its
-        layers are standardised.
+        layers are standardised, or its observations are planes of other numbers than 0 and 1.
     """
     checked_integer("weight_bits", weight_bits, *BITS)
     checked_integer("activation_bits", activation_bits, *BITS)
@@ -126,7 +127,7 @@ class _Quantizing:
             first, scale = self._weights(encoder.linear, input_scale)
         else:
             inputs, rest = self._scaling()
-            (weights, bias), scale = self._weights(encoder.linear, float(INPUT_STEPS))
+            (weights, bias), scale = self._weights(encoder.linear, float(INPUT_STEPS), tanh=True)
             first = weights, bias + encoder.linear.weight.double().numpy() @ rest
         layers, added = [], None
         if indicator is not None:
@@ -136,16 +137,26 @@ class _Quantizing:
         for k, following in enumerate((float_.hidden, float_.output)):
             layer, made = self._activated(weights, bias, scale, hidden[k])
             layers.append(layer)
-            (weights, bias), scale = self._weights(following, made)
+            last = following is float_.output
+            (weights, bias), scale = self._weights(following, made, tanh=not relu and not last)
         layers.append(Dense(weights, np.rint(bias * scale).astype(np.int32)))
         if added is None:
             added = np.zeros((0, len(layers[0].bias)), np.int32)
         return IntegerNetwork(self.spec, inputs, added, tuple(layers), self._head(scale))
 
-    def _weights(self, layer: torch.nn.Linear, input_scale: float) -> tuple[tuple[Array, Array], float]:
-        """Return a layer's weights in integers, and its biases as they are; and the scale of its sums."""
+    def _weights(
+        self, layer: torch.nn.Linear, input_scale: float, tanh: bool = False
+    ) -> tuple[tuple[Array, Array], float]:
+        """Return a layer's weights in integers, and its biases as they are; and the scale of its sums.
+
+        In front of a table of hyperbolic tangents, sums get a scale that shifting makes that of the table, if
+        the weights are large enough. Then all layers have the same table, and hardware needs only one.
+        """
         weights = layer.weight.numpy()
         scale = self.most_weight / _greatest(weights)
+        if tanh and scale * input_scale >= ACTIVATION_STEPS:
+            steps = ACTIVATION_STEPS / input_scale
+            scale = steps * 2.0 ** math.floor(math.log2(scale / steps))
         return (np.rint(weights * scale).astype(np.int16), layer.bias.numpy()), scale * input_scale
 
     def _activated(
@@ -183,6 +194,12 @@ class _Quantizing:
 
     def _patches(self) -> tuple[Patches, float]:
         """Return what pictures go through first, and the scale of what comes of it."""
+        greatest = int(bounds(self.spec.observation_space)[1].max())
+        if greatest > 1:
+            raise ArgumentError(
+                f"observations of {self.spec.name} are planes of numbers up to {greatest}, and only planes "
+                "of 0 and 1 become inputs of a policy in integers"
+            )
         convolution = self.float.encoder.convolution
         weights, bias = convolution.weight.numpy(), _numbers(convolution.bias)
         scale = self.most_weight / _greatest(weights)

@@ -14,7 +14,7 @@ pytest.importorskip("torch")
 from pearl_marl import get_spec
 from pearl_marl.benchmark import rollouts
 from pearl_marl.policies import integer_file
-from pearl_marl.policies.integer_network import table_network
+from pearl_marl.policies.integer_network import table_network, unchanging_network
 
 Pearl = Callable[..., tuple[int, str, str]]
 
@@ -35,5 +35,15 @@ def test_rollouts_beside_loops(pearl: Pearl, tmp_path: Path, monkeypatch: pytest
     assert status == 0, err
     rows = {row["name"]: row for row in json.loads(out)["contenders"]}
     counted = {name: row["n"] for name, row in rows.items() if not name.startswith("rollout,")}
-    assert counted == {"rollout": 40, "policy, then step": 8, "pearl eval": 24, "EnvPool, torch": 8}
+    ours = {"rollout": 40, "policy, then step": 8, "pearl eval": 24}
+    assert counted == ours | {"EnvPool, torch": 8, "gymnax, JAX": 40}
     assert all(row.get("steps_per_second", 1) > 0 for row in rows.values())
+    assert all(row.get("steps_per_core_second", 1) > 0 for row in rows.values())
+
+
+def test_a_loop_in_jax(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("gymnax")  # which `make test-peers` has
+    monkeypatch.setattr(rollouts, "STEPS", 3)
+    step = rollouts.gymnax_rollout(unchanging_network(get_spec("CartPole")), 4)
+    step()
+    step()

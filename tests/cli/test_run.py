@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 
 from pearl_marl.cli.common import on_device
+from pearl_marl.envs import get_spec
+from pearl_marl.policies import integer_file
+from pearl_marl.policies.integer_network import table_network
 
 Pearl = Callable[..., tuple[int, str, str]]
 
@@ -202,3 +205,23 @@ def test_figures_of_simulated_hardware_are_labelled(device: str, simulated: bool
     title = on_device("Taxi-v0", device)
     assert title.startswith(f"Taxi-v0 on {device}")
     assert title.endswith("simulated: times are the simulator's") == simulated
+
+
+def test_a_policy_in_integers(pearl: Pearl, tmp_path: Path) -> None:
+    spec = get_spec("CliffWalking")
+    up, right = [1, 0, 0, 0], [0, 1, 0, 0]
+    integer_file.save(
+        table_network(spec, np.array([right] * 36 + [up] + [right] * 11)), tmp_path / "p.safetensors"
+    )
+    given = "--policy", tmp_path / "p.safetensors", "--n-agents", 3
+    status, out, err = pearl("run", "CliffWalking", *given, "--steps", 30, "--max-cycles", 10, "--json")
+    assert status == 0, err
+    result = json.loads(out)
+    assert (result["episodes"], result["truncated"], result["agent_steps"]) == (9, 9, 90)
+    assert (result["return_mean"], result["return_std"], result["length_mean"]) == (-10, 0, 10)
+    status, out, err = pearl("run", "CliffWalking", *given, "--steps", 5)
+    assert status == 0, err
+    assert "one rollout, the policy included" in out
+    status, _, err = pearl("run", "CliffWalking", *given, "--video", tmp_path / "film.gif")
+    assert status == 2
+    assert "leave out --actions and --video" in err

@@ -13,7 +13,10 @@ import pytest
 from pearl_marl.cli.common import in_file_name
 from pearl_marl.devices import Native, by_name
 from pearl_marl.devices import replay as replaying
+from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError
+from pearl_marl.policies import integer_file
+from pearl_marl.policies.integer_network import table_network
 
 from ..devices.broken import Flips
 
@@ -340,3 +343,47 @@ def test_a_device_is_not_held_against_itself(pearl) -> None:
     status, out, err = pearl("verify", "Taxi", "--device", "reference", "--n-agents", 4)
     assert (status, out) == (2, "")
     assert "--device and --reference are both 'reference', which always agrees with itself" in err
+
+
+@pytest.fixture(scope="module")
+def right(tmp_path_factory):
+    """A policy that always goes right."""
+    spec = get_spec("CliffWalking")
+    path = tmp_path_factory.mktemp("policy") / "right.safetensors"
+    integer_file.save(table_network(spec, np.tile([0, 1, 0, 0], (48, 1))), path)
+    return path
+
+
+@pytest.mark.parametrize("device", ["native", pytest.param("rtl", marks=pytest.mark.slow)])
+def test_rollouts(pearl, right, device):
+    given = "--policy", right, "--device", device, "--n-agents", 3, "--steps", 64, "--max-cycles", 2
+    status, out, err = pearl("verify", "CliffWalking", *given, "--json")
+    assert status == 0, err
+    result = json.loads(out)
+    assert result["exact"]
+    assert result["agent_steps"] == 3 * 64
+    assert result["episodes"] > 0
+
+
+class Wrong(Native):
+    """Its rollouts leave another state behind from tick 6 on."""
+
+    name = "wrong"
+
+    def _rollout(self, policy, steps, record, episodes):
+        result, observed = super()._rollout(policy, steps, record, episodes)
+        if self.tick > 6:
+            self._memory[0] ^= 1
+        return result, observed
+
+
+def test_the_step_in_a_rollout_that_differs(pearl, right, monkeypatch):
+    monkeypatch.setitem(by_name._BY_NAME, Wrong.name, Wrong)
+    given = "--policy", right, "--device", "wrong", "--n-agents", 3, "--steps", 64
+    status, out, _ = pearl("verify", "CliffWalking", *given, "--autoreset-mode", "same-step")
+    assert status == 1
+    assert "Not bit-exact" in out
+    assert "rollout() before step 6" in out
+    status, _, err = pearl("verify", "CliffWalking", *given, "--out", right.parent)
+    assert status == 2
+    assert "--out is for a file that is replayed" in err

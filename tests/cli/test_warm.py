@@ -22,12 +22,15 @@ STEPS = """
 import json, sys
 from numba.core import event
 import pearl_marl
+from pearl_marl.policies.integer_network import unchanging_network
 with event.install_recorder("numba:compile") as compiled:
     for name in sys.argv[1:]:
         for form in ("whole", "packed") if name == "ConnectFour" else ("whole",):
             env = pearl_marl.parallel_env(name, observations=form)
             env.reset(seed=0)
             env.step({agent: 0 for agent in env.agents})
+        if form == "whole":
+            env.unwrapped.rollout(unchanging_network(pearl_marl.get_spec(name)), 1)
 kernels = {moment.data["dispatcher"].__module__ for _, moment in compiled.buffer}
 print(json.dumps([name for name in kernels if name.startswith("pearl_marl_kernel_")]))
 """
@@ -46,7 +49,8 @@ def python(cache: Path, script: str, *arguments: str) -> Any:
 def test_what_is_warm_is_not_compiled_again(tmp_path: Path) -> None:
     """Neither by a second call, nor by the first steps of an environment."""
     given = "CliffWalking", "ConnectFour"
-    assert len(python(tmp_path, STEPS, *given)) == 3
+    # The kernels of each form, and the loop and the policy of all rollouts.
+    assert len(python(tmp_path, STEPS, *given)) == 3 + 2
     cache = tmp_path / "warm"
     first = python(cache, ENTRY, "warm", *given, "--json")
     assert first["cache"] == str(cache / "kernels")

@@ -13,8 +13,10 @@ import pytest
 import pearl_marl
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.compiler.kernel_loops import BLOCK
-from pearl_marl.devices import BatchConfig, Lockstep, Native, Phase, native
+from pearl_marl.devices import BatchConfig, Lockstep, Native, Phase, threads
+from pearl_marl.devices.threads import ThreadCount
 from pearl_marl.errors import ActionError, OrderError
+from pearl_marl.policies.integer_network import table_network
 from pearl_marl.testing import assert_same_trajectory, trajectory
 from pearl_marl.testing.case import assert_same_step
 
@@ -87,26 +89,44 @@ def test_unusual_actions_compile_nothing(spoil: str) -> None:
 
 
 def test_threads_that_do_not_help_are_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(native, "_cores", lambda: 8)
-    device = opened()
-    took = []
-    for seconds in [1e-3] * native.TRIAL_STEPS + [2e-3] * native.TRIAL_STEPS + [1e-3] * 20:
-        if device._tuning:
-            device._tune(seconds)
-        took.append(device._threads)
-    assert took[native.TRIAL_STEPS] == 7
+    monkeypatch.setattr(threads, "cores", lambda: 8)
+    count, took = ThreadCount(None, trials=5), []
+    for seconds in [1e-3] * 5 + [2e-3] * 5 + [1e-3] * 20:
+        if count.tuning:
+            count.learn(seconds)
+        took.append(count.now)
+    assert took[5] == 7
     assert took[-1] == 1
 
 
 def test_threads_that_help_are_kept_and_short_steps_want_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(native, "_cores", lambda: 2)
-    device = opened()
-    for seconds in [1e-3, 1e-3, 1e-5] * native.TRIAL_STEPS:  # interrupted now and then, but short
-        device._tune(seconds)
-    assert device._threads == 1
-    for seconds in [1e-3] * native.TRIAL_STEPS + [6e-4] * native.TRIAL_STEPS:
-        device._tune(seconds)
-    assert (device._threads, device._tuning) == (2, False)
+    monkeypatch.setattr(threads, "cores", lambda: 2)
+    count = ThreadCount(None, trials=5)
+    for seconds in [1e-3, 1e-3, 1e-5] * 5:  # interrupted now and then, but short
+        count.learn(seconds)
+    assert count.now == 1
+    for seconds in [1e-3] * 5 + [6e-4] * 5:
+        count.learn(seconds)
+    assert (count.now, count.tuning) == (2, False)
+
+
+def test_more_work_may_take_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "cores", lambda: 2)
+    count = ThreadCount(None, trials=2)
+    for seconds, work in [(1e-3, 2), (1e-3, 2), (4e-3, 10), (4e-3, 10)]:
+        count.learn(seconds, work)
+    assert (count.now, count.tuning) == (2, False)
+
+
+def test_a_long_rollout_tries_more_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "cores", lambda: 2)
+    policy = table_network(SPEC, np.tile([0, 1, 0, 0], (48, 1)))
+    device, taken = opened(), []
+    device.reset(seed=1)
+    submit = threads.Threads.submit
+    monkeypatch.setattr(threads.Threads, "submit", lambda *call: taken.append(1) or submit(*call))
+    device.rollout(policy, 2_000)
+    assert taken
 
 
 def _steps_in_a_child(device: Native, queue: Any) -> None:

@@ -16,7 +16,7 @@ from pearl_marl.policies.integer_network import Dense, Head, IntegerNetwork, Sca
 from pearl_marl.spec import EnvSpec
 from pearl_marl.spec.elements import bounds
 
-from .networks import random_network
+from .networks import TANH, random_network
 
 N = 2 * TILE + 11
 
@@ -42,8 +42,48 @@ CASES = [
 
 @pytest.mark.parametrize(("name", "widths", "drawn"), CASES)
 def test_compiled_as_in_numpy(name: str, widths: tuple[int, ...], drawn: bool) -> None:
-    spec, rng = pearl_marl.get_spec(name), np.random.default_rng(3)
-    network = random_network(spec, 5, widths, drawn)
+    check_compiled(random_network(pearl_marl.get_spec(name), 5, widths, drawn))
+
+
+def wide_weights(network: IntegerNetwork) -> IntegerNetwork:
+    """Return a network one of whose weights has 9 bits."""
+    *others, last = network.layers
+    weights = last.weights.copy()
+    weights[0, 0] = 128
+    return replace(network, layers=(*others, last._replace(weights=weights)))
+
+
+def activated(network: IntegerNetwork, *ends: Array | int) -> IntegerNetwork:
+    """Return a network with a table, or a limit, after each layer but the last."""
+    *hidden, last = network.layers
+    layers = [
+        layer._replace(activation=np.zeros(0, np.int16), limit=end)
+        if isinstance(end, int)
+        else layer._replace(activation=end)
+        for layer, end in zip(hidden, ends, strict=True)
+    ]
+    return replace(network, layers=(*layers, last))
+
+
+ENDS = TANH, *(np.roll(TANH, k) for k in (1, 3)), np.arange(-512, 512).astype(np.int16) // 4
+
+
+@pytest.mark.parametrize("wide", [False, True])
+@pytest.mark.parametrize(
+    "ends",
+    [(ENDS[0], ENDS[1]), (ENDS[2], 255), (ENDS[3], 256), (200, ENDS[0]), (127, 255), (ENDS[0] * 2, ENDS[1])],
+    ids=["tables", "255", "256", "first cut", "cut", "9 bits"],
+)
+@pytest.mark.parametrize("name", ["CartPole", "Seaquest"])
+def test_bytes_and_words_between_layers(name: str, ends: tuple[Array | int, ...], wide: bool) -> None:
+    """Layers take four bytes at a time where all fits, and pairs of words where it does not."""
+    network = activated(random_network(pearl_marl.get_spec(name), 5, (9, 6), drawn=False), *ends)
+    check_compiled(wide_weights(network) if wide else network)
+
+
+def check_compiled(network: IntegerNetwork) -> None:
+    """Check that a network does compiled as in NumPy."""
+    spec, rng = network.spec, np.random.default_rng(3)
     elements = some_elements(spec, rng)
     masks = rng.integers(0, 2, (N, len(spec.mask_fields))).astype(np.int8) if spec.mask_fields else None
     draws = rng.integers(0, 1 << 32, (N, network.draws), dtype=np.uint32)

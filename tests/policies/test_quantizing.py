@@ -82,6 +82,22 @@ def test_integers_choose_as_floats_do(name: str, kind: str, how: dict[str, Any])
         assert len(np.unique(wanted[rows])) > 1
 
 
+def test_planes_of_larger_numbers_are_refused() -> None:
+    policy = NetworkPolicy(pearl_marl.get_spec("Overcooked"), "logits", 8)
+    with pytest.raises(ArgumentError, match="planes of numbers up to 20, and only planes of 0 and 1"):
+        quantized(policy, reached("Overcooked", 1)[0])
+
+
+def test_layers_share_a_table_where_weights_are_large_enough() -> None:
+    """An engine in hardware has one."""
+    policy = trained("CartPole", "logits")
+    first, second, _ = quantized(policy, reached("CartPole")[0]).layers
+    assert len(first.activation)
+    assert np.array_equal(first.activation, second.activation)
+    coarse = quantized(policy, reached("CartPole")[0], 4, 4).layers
+    assert max(np.abs(layer.weights).max() for layer in coarse) <= 7
+
+
 def test_drawn_actions_keep_their_probabilities() -> None:
     policy = trained("CartPole", "logits", temperature=2.0)
     obs, elements, _ = reached("CartPole", 12)

@@ -18,16 +18,9 @@ import numpy as np
 import numpy.typing as npt
 import optax
 
+from pearl_marl.benchmark.peers import GYMNAX
 from pearl_marl.benchmark.training import TrainingTask
 from pearl_marl.benchmark.watch import Watch
-
-NAMES = {
-    "CartPole": "CartPole-v1",
-    "MountainCar": "MountainCar-v0",
-    "FrozenLake": "FrozenLake-misc",
-    "Seaquest": "Seaquest-MinAtar",
-}
-"""gymnax's names of environments, by ours."""
 
 
 class Transition(NamedTuple):
@@ -113,7 +106,7 @@ def network(params: Any, obs: Any) -> tuple[Any, Any]:
 
 def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     """Train until the watch says that it is over."""
-    env, env_params = gymnax.make(NAMES[task.env_id])
+    env, env_params = gymnax.make(GYMNAX[task.env_id])
     space: Any = env.observation_space(env_params)
     numbers, vector = not space.shape, len(space.shape) == 1
     shape = (int(space.n),) if numbers else space.shape

@@ -1,0 +1,73 @@
+"""What policies lose in integers: every environment with a trained preset, in one table.
+
+``python -m experiments.integer_policies`` trains each by its preset, quantises it, and prints the returns of
+both in Markdown. ``--only CartPole`` does one; what has been trained in ``--out`` is not trained again.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pearl_marl.benchmark.tables import Table
+
+TRAININGS: dict[str, tuple[str, ...]] = {
+    "CliffWalking": ("--algo", "q-learning"),
+    "FrozenLake": ("--algo", "q-learning"),
+    "Taxi": ("--algo", "q-learning"),
+    "Blackjack": ("--algo", "q-learning"),
+    "CartPole": ("--algo", "ppo"),
+    "MountainCar": ("--algo", "ppo"),
+    "Pendulum": ("--algo", "ppo"),
+    "Seaquest": ("--algo", "ppo"),
+    "ConnectFour": ("--algo", "self-play"),
+    "LevelBasedForaging": ("--algo", "ppo"),
+    "RobotWarehouse": ("--algo", "ppo"),
+}
+"""How each is trained. Two presets have policies that cannot be quantised: CoinGame's has a network for each
+agent, and Overcooked's observations are planes of larger numbers than 1."""
+
+
+def pearl(*arguments: str) -> Any:
+    """Run a command of ``pearl``; return its figures."""
+    call = [sys.executable, "-m", "pearl_marl", *arguments, "--json"]
+    return json.loads(subprocess.run(call, stdout=subprocess.PIPE, check=True, text=True).stdout)
+
+
+def row(figures: dict[str, Any], algorithm: str) -> tuple[str, ...]:
+    """Return a row of the table: both returns, and the change with its interval."""
+    means = [f"{figures[name]['mean']:,.3g}" for name in ("return_before", "return_after")]
+    change = figures["change"]
+    return (
+        figures["environment"].removesuffix("-v0").removesuffix("-v1"),
+        algorithm,
+        *means,
+        f"{change['mean']:+.3g}",
+        f"{change['ci95_low']:+.3g} to {change['ci95_high']:+.3g}",
+    )
+
+
+def main(
+    only: Annotated[list[str] | None, typer.Option("--only", metavar="ENV")] = None,
+    n_agents: Annotated[int, typer.Option("--n-agents", help="Agents, an episode each.")] = 1000,
+    out: Annotated[Path, typer.Option("--out", help="The folder of the runs.")] = Path("out/integers"),
+) -> None:
+    """Train, quantise, and print the table."""
+    rows = []
+    for name in only or TRAININGS:
+        arguments, run = TRAININGS[name], out / name
+        if not (run / "policy.safetensors").exists():
+            pearl("train", name, *arguments, "--out", str(run))
+        rows.append(row(pearl("quantize", str(run), "--n-agents", str(n_agents)), arguments[1]))
+        print(*rows[-1], flush=True)
+    headings = ("", "trained by", "return", "in integers", "change", "95 % confidence")
+    print(Table(headings, rows, (0, 1)).markdown())
+
+
+if __name__ == "__main__":
+    typer.run(main)
