@@ -164,7 +164,7 @@ def configure(sticky_action_prob: float = 0.1, difficulty_ramping: bool = True) 
         unpack=unpack,
         options={"sticky_action_prob": sticky_action_prob, "difficulty_ramping": difficulty_ramping},
         configure=configure,
-        oracle="pearl_marl.envs.seaquest.oracle:MinAtar/Seaquest-v1",
+        oracle="pearl_marl.envs.minatar_oracle:MinAtar/Seaquest-v1",
         follows="MinAtar Seaquest-v1",
         pose=pose,
         render_modes=("human", "rgb_array"),

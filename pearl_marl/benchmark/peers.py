@@ -355,21 +355,23 @@ class _Vectorised:
 
 
 def _minatar(spec: EnvSpec, count: int) -> Step:
-    game = _required(spec, "MinAtar").partition("MinAtar/")[2].rpartition("-v")[0].lower()
-    if not game:
+    name = _required(spec, "MinAtar")
+    if "MinAtar/" not in name:
         raise UnavailableError(f"MinAtar has no {spec.name}")
     with installed("minatar"):
-        from minatar import Environment
-    actions = _actions(spec, count, np.int64).tolist()
-    envs = [Environment(game, **dict(spec.options)) for _ in range(count)]
-    for i, env in enumerate(envs):
-        env.seed(i)
+        envs: list[Any] = [gymnasium.make(name, **dict(spec.options)).unwrapped for _ in range(count)]
+    games = [env.game for env in envs]  # without what Gymnasium adds to a step
+    actions = [
+        env.action_set[action] for env, action in zip(envs, _actions(spec, count, np.int64), strict=True)
+    ]
+    for i, game in enumerate(games):
+        game.seed(i)
 
     def step() -> None:
-        for env, action in zip(envs, actions, strict=True):
-            _, ended = env.act(action)
-            env.state()
+        for game, action in zip(games, actions, strict=True):
+            _, ended = game.act(action)
+            game.state()
             if ended:
-                env.reset()
+                game.reset()
 
     return step
