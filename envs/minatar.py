@@ -22,25 +22,10 @@ NOTHING, LEFT, UP, RIGHT, DOWN, FIRE = range(6)
 """MinAtar's actions. Those that have an effect in a game are its minimal action set."""
 
 
-def checked_options(
-    sticky_action_prob: float, difficulty_ramping: bool, use_minimal_action_set: bool
-) -> dict[str, Any]:
-    """Return the options of a game after a check of each.
-
-    Parameters
-    ----------
-    sticky_action_prob
-        The probability with which the last action is repeated in place of the one given, 0 to 1. It is
-        rounded to a multiple of ``2**-32``.
-    difficulty_ramping
-        Whether the game gets harder as it goes on.
-    use_minimal_action_set
-        Whether the action space leaves out the actions that have no effect.
-    """
-    return {
-        "sticky_action_prob": checked_number("sticky_action_prob", sticky_action_prob, 0, 1),
-        "difficulty_ramping": checked_flag("difficulty_ramping", difficulty_ramping),
-        "use_minimal_action_set": checked_flag("use_minimal_action_set", use_minimal_action_set),
+def checked_options(sticky_action_prob: float, **flags: bool) -> dict[str, Any]:
+    """Return the options of a game after a check of each: a probability, and whether the others hold."""
+    return {"sticky_action_prob": checked_number("sticky_action_prob", sticky_action_prob, 0, 1)} | {
+        name: checked_flag(name, flag) for name, flag in flags.items()
     }
 
 
@@ -94,7 +79,7 @@ def spec_parts(
         "name": name,
         "version": 0,
         "observation_space": Box(0.0, 1.0, (SIDE, SIDE, channels), np.bool_),
-        "action_space": Discrete(len(minimal) if options["use_minimal_action_set"] else 6),
+        "action_space": Discrete(len(minimal) if options.get("use_minimal_action_set", True) else 6),
         "options": options,
         "oracle": f"pearl_marl.envs.minatar_oracle:MinAtar/{name}-v1",
         "follows": f"MinAtar {name}-v1",

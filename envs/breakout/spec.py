@@ -56,7 +56,11 @@ def configure(
     use_minimal_action_set
         Whether the action space has 3 actions, or all 6 of MinAtar's.
     """
-    options = checked_options(sticky_action_prob, difficulty_ramping, use_minimal_action_set)
+    options = checked_options(
+        sticky_action_prob,
+        difficulty_ramping=difficulty_ramping,
+        use_minimal_action_set=use_minimal_action_set,
+    )
     return EnvSpec(
         **spec_parts("Breakout", CHANNELS, MINIMAL, minatar_attributes, **options),
         summary="Bounce a ball off a paddle to break bricks",

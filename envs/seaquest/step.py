@@ -27,10 +27,10 @@ Atari-Inspired Testbed for Thorough and Reproducible Reinforcement Learning Expe
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from pearl_marl.envs.minatar import DOWN, FIRE, LEFT, NOTHING, RIGHT, UP
 from pearl_marl.golden import Draws, GoldenFunction, Word, i16
 from pearl_marl.layout import Array, Bits, Flag, Range, Signed
 
-NOTHING, LEFT, UP, RIGHT, DOWN, FIRE = range(6)
 LAST_COLUMN, DEEPEST = 9, 8  # the sea has rows 1 to 8; 0 is the surface
 MAX_OXYGEN, MAX_DIVERS, LEAST_DIVERS = 200, 6, -(1 << 15)
 RELOAD_STEPS, FIRE_INTERVAL = 5, 10
