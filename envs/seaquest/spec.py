@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from pearl_marl.envs.minatar import SIDE, checked_options, spec_parts
-from pearl_marl.golden import Word
+from pearl_marl.envs.minatar_planes import number
 from pearl_marl.layout import Layout
 from pearl_marl.spec import EnvSpec, Field, Golden
 
@@ -36,14 +35,6 @@ def mark(row: Any, x: int, y: int, channel: int) -> None:
 def mark_trail(row: Any, x: int, y: int, rightward: int) -> None:
     """Mark the cell that something came from."""
     mark(row, x - 1 if rightward else x + 1, y, TRAIL)
-
-
-def number(planes: Sequence[Word], bit: int) -> int:
-    """Return the number that stands in the place of a bit."""
-    result = 0
-    for k, plane in enumerate(planes):
-        result += 1 << k if plane & bit else 0
-    return result
 
 
 def unpack(seen: View, row: Any) -> None:

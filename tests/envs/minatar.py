@@ -13,7 +13,7 @@ from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.envs.minatar import action_table
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference, rng
-from pearl_marl.porting.oracle import Actions, Draws, Games, Outcome, compare, uniform_draws
+from pearl_marl.porting.oracle import Actions, Draws, Games, Ours, Outcome, compare, uniform_draws
 from pearl_marl.spec import EnvSpec
 from pearl_marl.testing import compare_pictures
 
@@ -41,6 +41,20 @@ class Decisions:
         value = self.queue.pop(0)
         assert np.shape(value) == shape
         return value
+
+
+TENTH = 429496730
+"""Of 32 bits, the first draw by which the last action is not repeated, at MinAtar's probability."""
+STICKY_EDGES = 0, TENTH - 1, TENTH, (1 << 32) - 1
+
+
+def repeats(draws: Sequence[int]) -> list[Any]:
+    """Return the decision whether the last action is repeated; MinAtar asks even where it never is."""
+    return [draw / 2**32 for draw in draws] or [0.5]
+
+
+def at_random(ours: Ours, generator: np.random.Generator) -> Array:
+    return generator.integers(ours.spec.action_counts[0], size=(ours.n, 1))
 
 
 def minatar(spec: EnvSpec) -> Any:

@@ -19,31 +19,27 @@ from pearl_marl.testing import assert_same_play, first_episodes
 from pearl_marl.testing.oracles import random_actions_of
 
 from .minatar import (
+    STICKY_EDGES,
     Match,
     assert_a_device_plays_it,
     assert_attributes,
     assert_bad_options_are_refused,
     assert_same_pictures,
     assert_same_spaces,
+    at_random,
     edged_draws,
     episodes_of_minatar,
     initial_words,
     minatar,
+    repeats,
 )
 
 Array = np.ndarray[Any, Any]
-TENTH = 429496730
-"""Of 32 bits, the first draw by which the last action is not repeated."""
-DRAWS = edged_draws(0, TENTH - 1, TENTH, (1 << 32) - 1)
+DRAWS = edged_draws(*STICKY_EDGES)
 
 
 def spec(**options: Any) -> EnvSpec:
     return pearl_marl.get_spec("Breakout").with_options(**options)
-
-
-def decide(game: Any, draws: Sequence[int]) -> list[Any]:
-    """Whether the last action is repeated; MinAtar asks even where it never is."""
-    return [draw / 2**32 for draw in draws] or [0.5]
 
 
 def decide_start(draws: Sequence[int]) -> list[Any]:
@@ -51,11 +47,7 @@ def decide_start(draws: Sequence[int]) -> list[Any]:
 
 
 def match(n: int, after: Callable[[Any], None] = lambda game: None, **options: Any) -> Match:
-    return Match(spec(**options), MINIMAL, minatar_attributes, decide, n, after=after)
-
-
-def at_random(ours: Ours, generator: np.random.Generator) -> Array:
-    return generator.integers(ours.spec.action_counts[0], size=(ours.n, 1))
+    return Match(spec(**options), MINIMAL, minatar_attributes, repeats, n, after=after)
 
 
 def catching(ours: Ours, generator: np.random.Generator) -> Array:
@@ -122,7 +114,7 @@ def test_starts_are_minatars() -> None:
 
 
 def test_a_device_plays_minatars_game() -> None:
-    assert_a_device_plays_it(spec(), decide, decide_start, n=70, steps=30)
+    assert_a_device_plays_it(spec(), repeats, decide_start, n=70, steps=30)
 
 
 def test_draws_decide_as_often_as_minatars() -> None:
