@@ -18,8 +18,9 @@ from pearl_marl.spec import EnvSpec
 from pearl_marl.testing import compare_pictures
 
 Array = np.ndarray[Any, Any]
-Decide = Callable[[Any, Sequence[int]], list[Any]]
-"""Returns the decisions of a step that a game of MinAtar's will ask for, in their order, of our draws."""
+Decide = Callable[[Any, int, Sequence[int]], list[Any]]
+"""Returns the decisions that a step will ask for, in their order: of MinAtar's environment, the action that
+it gets, and our draws."""
 
 
 class Decisions:
@@ -48,7 +49,7 @@ TENTH = 429496730
 STICKY_EDGES = 0, TENTH - 1, TENTH, (1 << 32) - 1
 
 
-def repeats(draws: Sequence[int]) -> list[Any]:
+def repeats(environment: Any, action: int, draws: Sequence[int]) -> list[Any]:
     """Return the decision whether the last action is repeated; MinAtar asks even where it never is."""
     return [draw / 2**32 for draw in draws] or [0.5]
 
@@ -145,9 +146,9 @@ class Match:
         self.spec.pose(env, state)
 
     def step(self, env: Any, actions: list[int], draws: list[int]) -> Outcome:
-        game, decisions = env.game.env, env.game.random
-        decisions.queue = self.decide(game, draws)
-        reward, end = env.game.act(env.action_set[actions[0]])
+        action, game, decisions = env.action_set[actions[0]], env.game.env, env.game.random
+        decisions.queue = self.decide(env.game, action, draws)
+        reward, end = env.game.act(action)
         assert not decisions.queue
         if self.immortal:
             game.terminal = False
@@ -168,9 +169,14 @@ def assert_attributes(game: Any, ours: dict[str, Any]) -> None:
 
 
 def assert_a_device_plays_it(
-    spec: EnvSpec, decide: Decide, decide_start: Callable[[Sequence[int]], list[Any]], n: int, steps: int
+    spec: EnvSpec,
+    decide: Decide,
+    decide_start: Callable[[Sequence[int]], list[Any]],
+    n: int,
+    steps: int,
+    ends: int,
 ) -> None:
-    """Play by the CPU device's own draws, known from the seed: observations, rewards, ends, resets."""
+    """Play by the CPU device's own draws, known from the seed: observations, rewards, at least ``ends`` ends."""
     seed, reset_draws = 5, spec.reset_draws
     device = Native().open(BatchConfig(spec=spec, n_envs=n))
     theirs = [minatar(spec) for _ in range(n)]
@@ -196,15 +202,16 @@ def assert_a_device_plays_it(
         batch = device.step(actions)
         arrivals = batch.arrivals()
         for k, env in enumerate(theirs):
-            env.game.random.queue = decide(env.game.env, draws[k].tolist())
-            reward, end = env.game.act(env.action_set[actions[k]])
+            action = env.action_set[actions[k]]
+            env.game.random.queue = decide(env.game, action, draws[k].tolist())
+            reward, end = env.game.act(action)
             assert (batch.rewards[k], batch.terminations[k]) == (reward, end), f"step {step}"
             np.testing.assert_array_equal(arrivals[k], env.game.state())
             if end:
                 ended += 1
                 start(env, starts[k])
             np.testing.assert_array_equal(batch.obs[k], env.game.state())
-    assert ended > n / 2
+    assert ended >= ends
     device.close()
 
 

@@ -46,10 +46,10 @@ def spec(**options: Any) -> EnvSpec:
 COLUMN = {field.name: k for k, field in enumerate(spec().state)}
 
 
-def decide(game: Any, draws: Sequence[int]) -> list[Any]:
+def decide(environment: Any, action: int, draws: Sequence[int]) -> list[Any]:
     """Whether the last action is repeated; then of what spawns the direction, the kind and the slot."""
     *first, draw = draws
-    queue = repeats(first)
+    queue, game = repeats(environment, action, first), environment.env
     if game.spawn_timer == 0:
         digits = []
         empty = game.entities.count(None)
@@ -140,7 +140,7 @@ def test_start_is_minatars() -> None:
 
 
 def test_a_device_plays_minatars_game() -> None:
-    assert_a_device_plays_it(spec(), decide, lambda draws: [], n=70, steps=120)
+    assert_a_device_plays_it(spec(), decide, lambda draws: [], n=70, steps=120, ends=20)
 
 
 @pytest.mark.parametrize("taken", [0, 0b10100101])

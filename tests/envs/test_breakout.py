@@ -114,7 +114,7 @@ def test_starts_are_minatars() -> None:
 
 
 def test_a_device_plays_minatars_game() -> None:
-    assert_a_device_plays_it(spec(), repeats, decide_start, n=70, steps=30)
+    assert_a_device_plays_it(spec(), repeats, decide_start, n=70, steps=30, ends=100)
 
 
 def test_draws_decide_as_often_as_minatars() -> None:

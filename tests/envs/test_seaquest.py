@@ -38,9 +38,9 @@ def spec(**options: Any) -> EnvSpec:
     return pearl_marl.get_spec("Seaquest").with_options(**options)
 
 
-def decide(game: Any, draws: Sequence[int]) -> list[Any]:
+def decide(environment: Any, action: int, draws: Sequence[int]) -> list[Any]:
     """Line up the decisions of a step, in the order in which MinAtar asks for them."""
-    draw_0, draw_1 = draws
+    game, (draw_0, draw_1) = environment.env, draws
     queue: list[Any] = [(draw_1 & CHANCE) / (1 << CHANCE_BITS)]
     if game.e_spawn_timer == 0:
         kind = (draw_0 & CHANCE) / (1 << CHANCE_BITS)
@@ -172,7 +172,7 @@ def test_no_list_overflows(submarines: bool) -> None:
 
 
 def test_a_device_plays_minatars_game() -> None:
-    assert_a_device_plays_it(spec(), decide, lambda draws: [], n=70, steps=40)
+    assert_a_device_plays_it(spec(), decide, lambda draws: [], n=70, steps=40, ends=36)
 
 
 def test_draws_decide_as_often_as_minatars() -> None:
