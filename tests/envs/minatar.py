@@ -176,7 +176,7 @@ def assert_a_device_plays_it(
     steps: int,
     ends: int,
 ) -> None:
-    """Play by the CPU device's own draws, known from the seed: observations, rewards, at least ``ends`` ends."""
+    """Play by the CPU device's own draws, known from the seed, until at least ``ends`` episodes are over."""
     seed, reset_draws = 5, spec.reset_draws
     device = Native().open(BatchConfig(spec=spec, n_envs=n))
     theirs = [minatar(spec) for _ in range(n)]
