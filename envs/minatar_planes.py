@@ -59,6 +59,11 @@ def counted_down(timer: list[Word]) -> tuple[list[Word], Word]:
     return result, ends
 
 
+def number_in(planes: Sequence[Word], place: int) -> Word:
+    """Return the number that stands in a place."""
+    return sum((plane >> place & 1) << k for k, plane in enumerate(planes))
+
+
 def number(planes: Sequence[Word], bit: int) -> int:
     """Return the number that stands in the place of a bit; for ``unpack``."""
     result = 0

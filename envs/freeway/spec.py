@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pearl_marl.envs.minatar import LAST, SIDE, checked_options, spec_parts
-from pearl_marl.envs.minatar_planes import number
+from pearl_marl.envs.minatar_planes import number_in
 from pearl_marl.spec import EnvSpec, Golden
 
 from .step import LANES, MINIMAL, OWN_COLUMN, SPEEDS, State, View, initial, make_step, observe
@@ -20,12 +20,13 @@ def unpack(seen: View, row: Any) -> None:
         row[k] = 0
     row[(SIDE * int(seen.y) + OWN_COLUMN) * CHANNELS + CHICKEN] = 1
     for k in range(LANES):
-        bit = 1 << k
-        x, interval = number(seen.cars.column, bit), number(seen.cars.interval, bit)
-        # Planes can hold what is no column and no speed, though no car has them.
+        car = int(seen.cars[k])
+        x, interval = car & 15, car >> 4 & 7
+        # A word can hold what is no column and no speed, though no car has them.
         if x <= LAST and 1 <= interval <= SPEEDS:
+            behind = x - 1 if car >> 7 else x + 1
+            behind = LAST if behind < 0 else 0 if behind > LAST else behind
             first = SIDE * (k + 1)
-            behind = (x + LAST if seen.cars.rightward & bit else x + 1) % SIDE
             row[(first + x) * CHANNELS + CAR] = 1
             row[(first + behind) * CHANNELS + SPEED_1 + interval - 1] = 1
 
@@ -34,10 +35,9 @@ def minatar_attributes(state: State) -> dict[str, Any]:
     """Return the attributes that MinAtar's ``freeway.Env`` has in this state."""
 
     def car(k: int) -> list[int]:
-        bit = 1 << k
         planes = state.cars.column, state.timer, state.cars.interval
-        x, timer, interval = (number(of, bit) for of in planes)
-        return [x, k + 1, timer, interval if state.cars.rightward & bit else -interval]
+        x, timer, interval = (number_in(of, k) for of in planes)
+        return [x, k + 1, timer, interval if state.cars.rightward >> k & 1 else -interval]
 
     return {
         "pos": state.y,

@@ -8,7 +8,7 @@ does not matter.
 from typing import NamedTuple
 
 from pearl_marl.envs.minatar import DOWN, LAST, NOTHING, UP, action_table, sticky
-from pearl_marl.envs.minatar_planes import bits, counted_down, moved, off_board, places_of
+from pearl_marl.envs.minatar_planes import bits, counted_down, moved, number_in, off_board, places_of
 from pearl_marl.golden import Draws, GoldenFunction, Word
 from pearl_marl.layout import Array, Bits, Range
 
@@ -22,7 +22,7 @@ MOVE_INTERVAL, TIME_LIMIT = 3, 2500
 
 
 class Cars(NamedTuple):
-    """What can be seen of the cars: planes of a bit a lane. ``interval`` is how many steps one stands."""
+    """Planes of a bit a lane. ``interval`` is how many steps a car stands."""
 
     rightward: Bits[LANES]
     interval: Array[Bits[LANES], 3]
@@ -41,10 +41,10 @@ class State(NamedTuple):
 
 
 class View(NamedTuple):
-    """What can be seen."""
+    """What can be seen: of each car its column (4 bits), interval (3) and whether it goes rightward (1)."""
 
     y: Range[1, LAST]
-    cars: Cars
+    cars: Array[Bits[8], LANES]
 
 
 def new_speeds(draws: Draws) -> tuple[Word, list[Word]]:
@@ -105,4 +105,5 @@ def make_step(sticky_action_prob: float, use_minimal_action_set: bool) -> Golden
 
 def observe(state: State) -> View:
     """Return what can be seen."""
-    return View(state.y, state.cars)
+    planes = [*state.cars.column, *state.cars.interval, state.cars.rightward]
+    return View(state.y, [number_in(planes, lane) for lane in range(LANES)])

@@ -14,6 +14,7 @@ from .step import (
     COLUMNS,
     MARGIN,
     MINIMAL,
+    ROWS,
     SLOWEST_MOVE,
     State,
     View,
@@ -36,13 +37,14 @@ def unpack(seen: View, row: Any) -> None:
             row[(SIDE * int(bullet.y) + int(bullet.x)) * CHANNELS + OWN_BULLET] = 1
     if seen.bomb.flies:
         row[(SIDE * int(seen.bomb.y) + int(seen.bomb.x)) * CHANNELS + HOSTILE_BULLET] = 1
-    left, top, alive = int(seen.aliens.left) - MARGIN, int(seen.aliens.top), int(seen.aliens.alive)
     heading = TO_LEFT if seen.aliens.leftward else TO_RIGHT
-    for k in range(ALIENS):
-        x, y = left + k % COLUMNS, (top + k // COLUMNS) % SIDE
-        if alive >> k & 1 and 0 <= x <= LAST:
-            row[(SIDE * y + x) * CHANNELS + ALIEN] = 1
-            row[(SIDE * y + x) * CHANNELS + heading] = 1
+    for k in range(ROWS):
+        y = int(seen.aliens.top) + k
+        y = y - SIDE if y > LAST else y
+        line = (int(seen.aliens.alive) >> COLUMNS * k & (1 << COLUMNS) - 1) << int(seen.aliens.left) >> MARGIN
+        for x in range(SIDE):
+            row[(SIDE * y + x) * CHANNELS + ALIEN] = line >> x & 1
+            row[(SIDE * y + x) * CHANNELS + heading] = line >> x & 1
 
 
 def minatar_attributes(state: State) -> dict[str, Any]:

@@ -86,7 +86,10 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "learning_rate": 2e-3,
         "reward_scale": 0.03,
     },
+    ("ppo", "Asterix"): MINATAR,
     ("ppo", "Breakout"): MINATAR,
+    ("ppo", "Freeway"): MINATAR,
+    ("ppo", "SpaceInvaders"): MINATAR,
     # To come up for air is of no use until the air is gone: much entropy, and a long view.
     ("ppo", "Seaquest"): MINATAR | {"iterations": 250, "discount": 0.995, "entropy": 0.03},
     # One game is like another unless some moves are random.
