@@ -49,10 +49,9 @@ def off_board(column: list[Word]) -> Word:
     return column[3] & (column[1] | column[2])
 
 
-def counted_down(timer: list[Word]) -> tuple[list[Word], Word]:
-    """Count a timer down in all places; return it, all ones where it was 0, and these places."""
+def counted_down(timer: list[Word], ends: Word) -> tuple[list[Word], Word]:
+    """Count a timer down in the places of ``ends``; return it, all ones where it was 0, and these places."""
     result = []
-    ends = -1
     for plane in timer:
         result.append(plane ^ ends)
         ends = ends & ~plane

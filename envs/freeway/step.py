@@ -16,6 +16,7 @@ MINIMAL = (NOTHING, UP, DOWN)
 GO_UP, GO_DOWN = 1, 2
 """Places of two actions in the minimal action set."""
 LANES, SPEEDS = 8, 5
+EVERY_LANE = (1 << LANES) - 1
 OWN_COLUMN = 4
 """The column that the chicken goes up and down in."""
 MOVE_INTERVAL, TIME_LIMIT = 3, 2500
@@ -67,7 +68,7 @@ def initial(draws: Draws) -> State:
 
 def drive(cars: Cars, timer: list[Word]) -> tuple[Cars, list[Word]]:
     """Move the cars whose timers are 0, around the board's edges; return cars and timers."""
-    timer, moves = counted_down(timer)
+    timer, moves = counted_down(timer, EVERY_LANE)
     timer = [plane & (~moves | bit) for plane, bit in zip(timer, cars.interval, strict=True)]
     ones, twos, fours, eights = moved(cars.column, cars.rightward, moves)
     # To the left of 0 stands 15, which becomes 9; to the right of 9 stands 10, which becomes 0.

@@ -153,7 +153,7 @@ def moved_x(x: Word, rightward: Word, moves: Word) -> Word:
 
 def repeated(timer: list[Word], interval: Word) -> tuple[list[Word], Word]:
     """Count a timer down in all places; return it, beginning anew where it was 0, and these places."""
-    timer, ends = counted_down(timer)
+    timer, ends = counted_down(timer, -1)
     kept = [~ends | spread(bit) for bit in bits(interval, len(timer))]
     return [plane & bit for plane, bit in zip(timer, kept, strict=True)], ends
 
