@@ -68,7 +68,7 @@ def make_step(sticky_action_prob: float, use_minimal_action_set: bool) -> Golden
             paddle = min(paddle + 1, LAST)
 
         x = state.x + 1 if rightward else state.x - 1
-        y = state.y + 1 if falls else state.y - 1
+        y = min(state.y + 1, LAST) if falls else state.y - 1
         if x < 0 or x > LAST:
             x, rightward = state.x, not rightward
         brick = 1 << SIDE * (y - TOP) + x if TOP <= y <= BOTTOM else 0
@@ -79,14 +79,14 @@ def make_step(sticky_action_prob: float, use_minimal_action_set: bool) -> Golden
             if not state.strike:
                 reward, bricks = 1, bricks ^ brick
                 y, falls = state.y, not falls
-        elif y >= LAST:
+        elif y == LAST:
             bricks = bricks if bricks else ALL_BRICKS
             if state.x == paddle:
                 y, falls = state.y, not falls
             elif x == paddle:
                 y, falls, rightward = state.y, not falls, not rightward
             else:
-                y, terminated = LAST, True
+                terminated = True
         after = State(action, paddle, x, y, state.x, state.y, rightward, falls, strikes, bricks)
         return after, reward, terminated
 

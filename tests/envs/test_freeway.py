@@ -89,7 +89,7 @@ def upward(ours: Ours, generator: np.random.Generator) -> Array:
         (at_random, 12, 150, 0),
         (upward, 16, 250, 10),
         pytest.param(at_random, 20, 2600, 0, marks=pytest.mark.exhaustive),
-        pytest.param(upward, 24, 5200, 1_000, marks=pytest.mark.exhaustive),
+        pytest.param(upward, 24, 5200, 500, marks=pytest.mark.exhaustive),
     ],
 )
 def test_whole_games(policy: Actions, n: int, steps: int, earned: int) -> None:

@@ -77,7 +77,7 @@ def dodging(ours: Ours, generator: np.random.Generator) -> Array:
         (at_random, 16, 120, 15, 50),
         (dodging, 16, 200, 5, 200),
         pytest.param(at_random, 60, 1000, 600, 3_000, marks=pytest.mark.exhaustive),
-        pytest.param(dodging, 60, 1200, 300, 9_000, marks=pytest.mark.exhaustive),
+        pytest.param(dodging, 60, 1200, 300, 6_000, marks=pytest.mark.exhaustive),
     ],
 )
 def test_whole_episodes(policy: Actions, n: int, steps: int, episodes: int, earned: int) -> None:
