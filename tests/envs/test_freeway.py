@@ -145,12 +145,12 @@ def test_starts_are_minatars() -> None:
 
 
 def test_a_device_plays_minatars_game() -> None:
-    assert_a_device_plays_it(spec(), decide, decide_start, n=30, steps=60, ends=0)
+    assert_a_device_plays_it(spec(), decide, decide_start, n=16, steps=40, ends=0)
 
 
 def test_draws_decide_as_often_as_minatars() -> None:
     """Direction and speed of each car at a start, by chi-squared; cars do not depend on each other."""
-    n, config = 40_000, spec()
+    n, config = 20_000, spec()
     draws = [rng.draws((1, 2), np.arange(n), 3, index) for index in range(3)]
     start = call_reference(config.positional.initial, draws[:2])
     cases = np.zeros((LANES, n), int)

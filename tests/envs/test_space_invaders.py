@@ -147,11 +147,11 @@ def test_start_is_minatars() -> None:
 
 
 def test_a_device_plays_minatars_game() -> None:
-    assert_a_device_plays_it(spec(), repeats, lambda draws: [], n=50, steps=80, ends=25)
+    assert_a_device_plays_it(spec(), repeats, lambda draws: [], n=24, steps=60, ends=8)
 
 
 def test_draws_decide_as_often_as_minatars() -> None:
-    n, config = 40_000, spec()
+    n, config = 20_000, spec()
     state = [np.full(n, word) for word in initial_words(config)]
     after = call_reference(
         config.positional.step, [*state, np.full(n, SHOOT), rng.draws((1, 2), np.arange(n), 3, 0)]
@@ -161,9 +161,9 @@ def test_draws_decide_as_often_as_minatars() -> None:
 
 @pytest.mark.slow
 def test_episodes_of_a_random_policy() -> None:
-    """Lengths and returns of 6,000 and 2,000 episodes have one distribution, by Kolmogorov and Smirnov."""
+    """Lengths and returns of 6,000 and 400 episodes have one distribution, by Kolmogorov and Smirnov."""
     ours = first_episodes(spec(), 6_000, 1, random_actions_of(spec()))
-    assert_same_play(ours, episodes_of_minatar(spec(), 2_000, 2))
+    assert_same_play(ours, episodes_of_minatar(spec(), 400, 2))
 
 
 def test_spaces_are_minatars() -> None:
