@@ -37,6 +37,15 @@ ENVPOOL_GAMES = {
 }
 """What EnvPool calls its environments that have several agents, by our names."""
 
+PGX_GAMES = {
+    "Asterix": "minatar-asterix",
+    "Breakout": "minatar-breakout",
+    "Freeway": "minatar-freeway",
+    "Seaquest": "minatar-seaquest",
+    "SpaceInvaders": "minatar-space_invaders",
+}
+"""What pgx calls its forms of MinAtar's games."""
+
 ENVPOOL_AGENTS = {"RobotWarehouse": 4}
 """How many agents these have, where ours has another number."""
 
@@ -65,6 +74,7 @@ def peers(spec: EnvSpec, n: int) -> list[Contender]:
             ("Gymnasium AsyncVectorEnv", f"{arrays}; a process a slot", asynchronous, processes),
             ("Gymnasium's own vectorisation", f"{arrays}; NumPy, one thread", n, own),
             ("MinAtar", "observations, rewards, ends; Python, one thread", sync, _minatar),
+            ("pgx", "all result arrays, default options; JAX, compiled, on all cores", n, _pgx),
         ]
     return [Contender(name, counts, count, partial(make, spec, count)) for name, counts, count, make in rows]
 
@@ -373,5 +383,30 @@ def _minatar(spec: EnvSpec, count: int) -> Step:
             game.state()
             if ended:
                 game.reset()
+
+    return step
+
+
+def _pgx(spec: EnvSpec, count: int) -> Step:
+    name = PGX_GAMES.get(spec.name)
+    if name is None:
+        raise UnavailableError(f"pgx has no {spec.name}")
+    with installed("pgx"):
+        import jax
+        import pgx
+        from pgx.experimental.wrappers import auto_reset
+    game: Any = pgx.make(name)
+    actions, key = _actions(spec, count, np.int32), jax.random.PRNGKey(0)
+    key, start = jax.random.split(key)
+    last = [key, jax.jit(jax.vmap(game.init))(jax.random.split(start, count))]
+
+    def advance(key: Any, state: Any, actions: Any) -> Any:
+        key, now = jax.random.split(key)
+        return key, jax.vmap(auto_reset(game.step, game.init))(state, actions, jax.random.split(now, count))
+
+    compiled = jax.jit(advance)
+
+    def step() -> None:
+        last[:] = jax.block_until_ready(compiled(*last, actions))
 
     return step

@@ -18,6 +18,7 @@ OTHER_PEERS = {
     "lbforaging": "lbforaging",
     "overcooked-ai": "overcooked-ai",
     "PettingZoo connect_four_v3": "PettingZoo",
+    "pgx": "pgx",
 }
 """The peers besides EnvPool in the table of all environments: contenders, and the words for them there."""
 
