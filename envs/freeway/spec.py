@@ -8,7 +8,7 @@ from pearl_marl.envs.minatar import LAST, SIDE, checked_options, spec_parts
 from pearl_marl.envs.minatar_planes import number_in
 from pearl_marl.spec import EnvSpec, Golden
 
-from .step import LANES, MINIMAL, OWN_COLUMN, SPEEDS, TIME_LIMIT, State, View, initial, make_step, observe
+from .step import LANES, MINIMAL, OWN_COLUMN, SPEEDS, State, View, initial, make_step, observe
 
 CHANNELS = 7
 CHICKEN, CAR, SPEED_1 = range(3)
@@ -73,8 +73,6 @@ def configure(
         rewards=(0.0, 1.0),
         golden=Golden(State, initial, step, observe, view=View),
         unpack=unpack,
-        # The game itself terminates with that step; evaluations and lists get to know its length.
-        max_cycles=TIME_LIMIT + 1,
         configure=configure,
     )
 
