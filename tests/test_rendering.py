@@ -39,7 +39,7 @@ def without(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_pictures_without_their_library(name: str, mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for library in ("pygame", "minatar", "matplotlib", "PIL"):
         without(library, monkeypatch)
-    monkeypatch.delitem(sys.modules, "pearl_marl.envs.seaquest.oracle", raising=False)
+    monkeypatch.delitem(sys.modules, "pearl_marl.envs.minatar_oracle", raising=False)
     with closing(pearl_marl.parallel_env(name, n_agents=2, render_mode=mode)) as env:
         draw = env.render if mode == "rgb_array" else env.reset
         if mode == "rgb_array":

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-from gymnasium import Env
-from gymnasium.spaces import Box, Discrete
-
-from pearl_marl.checks import checked_flag, checked_number
-from pearl_marl.golden import Word
+from pearl_marl.envs.minatar import SIDE, checked_options, spec_parts
+from pearl_marl.envs.minatar_planes import number
 from pearl_marl.layout import Layout
 from pearl_marl.spec import EnvSpec, Field, Golden
 
@@ -27,14 +22,14 @@ from .step import (
     observe,
 )
 
-SIZE, CHANNELS = 10, 10
+CHANNELS = 10
 FRONT, BACK, OWN_BULLET, TRAIL, HOSTILE_BULLET, FISH, SUBMARINE, OXYGEN, ABOARD, DIVER = range(CHANNELS)
 
 
 def mark(row: Any, x: int, y: int, channel: int) -> None:
     """Set one element of an observation; nothing where the cell is not on the board."""
-    if 0 <= x < SIZE and 0 <= y < SIZE:
-        row[(y * SIZE + x) * CHANNELS + channel] = 1
+    if 0 <= x < SIDE and 0 <= y < SIDE:
+        row[(y * SIDE + x) * CHANNELS + channel] = 1
 
 
 def mark_trail(row: Any, x: int, y: int, rightward: int) -> None:
@@ -42,25 +37,17 @@ def mark_trail(row: Any, x: int, y: int, rightward: int) -> None:
     mark(row, x - 1 if rightward else x + 1, y, TRAIL)
 
 
-def number(planes: Sequence[Word], bit: int) -> int:
-    """Return the number that stands in the place of a bit."""
-    result = 0
-    for k, plane in enumerate(planes):
-        result += 1 << k if plane & bit else 0
-    return result
-
-
 def unpack(seen: View, row: Any) -> None:
     """Write one slot's observation, MinAtar's ``(10, 10, 10)`` of row, column and channel, into ``row``."""
-    for k in range(SIZE * SIZE * CHANNELS):
+    for k in range(SIDE * SIDE * CHANNELS):
         row[k] = 0
     x, y = int(seen.x), int(seen.y)
     mark(row, x, y, FRONT)
     mark(row, x - 1 if seen.facing_right else x + 1, y, BACK)
     for k in range(seen.oxygen_bar):
-        mark(row, k, SIZE - 1, OXYGEN)
+        mark(row, k, SIDE - 1, OXYGEN)
     for k in range(seen.aboard):
-        mark(row, SIZE - 2 - k, SIZE - 1, ABOARD)
+        mark(row, SIDE - 2 - k, SIDE - 1, ABOARD)
     for word in seen.bullets:
         bullet = int(word)
         if bullet >> 9:
@@ -131,13 +118,6 @@ def minatar_attributes(state: State) -> dict[str, Any]:
     }
 
 
-def pose(oracle: Env[Any, Any], state: State) -> None:
-    """Put MinAtar's Seaquest into a slot's state, for rendering."""
-    game = oracle.game  # type: ignore[attr-defined]
-    vars(game.env).update(minatar_attributes(state))
-    game.last_action = state.last_action
-
-
 def configure(sticky_action_prob: float = 0.1, difficulty_ramping: bool = True) -> EnvSpec:
     """Return the spec under MinAtar's keyword arguments.
 
@@ -149,25 +129,16 @@ def configure(sticky_action_prob: float = 0.1, difficulty_ramping: bool = True) 
     difficulty_ramping
         Whether surfacing makes enemies faster and more frequent.
     """
-    sticky_action_prob = checked_number("sticky_action_prob", sticky_action_prob, 0, 1)
-    checked_flag("difficulty_ramping", difficulty_ramping)
-    sticky_below = round(sticky_action_prob * (1 << CHANCE_BITS))
+    options = checked_options(sticky_action_prob, difficulty_ramping=difficulty_ramping)
+    sticky_below = round(options["sticky_action_prob"] * (1 << CHANCE_BITS))
     return EnvSpec(
-        name="Seaquest",
-        version=0,
+        **spec_parts("Seaquest", CHANNELS, range(6), minatar_attributes, **options),
         summary="Dive for divers among fish and submarines, and surface before the oxygen is spent",
         reward=Field("reward", 4),
         rewards=None,
-        observation_space=Box(0.0, 1.0, (SIZE, SIZE, CHANNELS), np.bool_),
-        action_space=Discrete(6),
         golden=Golden(State, initial, make_step(sticky_below, difficulty_ramping), observe, view=View),
         unpack=unpack,
-        options={"sticky_action_prob": sticky_action_prob, "difficulty_ramping": difficulty_ramping},
         configure=configure,
-        oracle="pearl_marl.envs.seaquest.oracle:MinAtar/Seaquest-v1",
-        follows="MinAtar Seaquest-v1",
-        pose=pose,
-        render_modes=("human", "rgb_array"),
     )
 
 

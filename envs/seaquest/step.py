@@ -27,10 +27,19 @@ Atari-Inspired Testbed for Thorough and Reproducible Reinforcement Learning Expe
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from pearl_marl.envs.minatar import DOWN, FIRE, LEFT, NOTHING, RIGHT, UP
+from pearl_marl.envs.minatar_planes import (
+    bits,
+    counted_down,
+    lowest,
+    moved,
+    off_board,
+    places_of,
+    spread,
+)
 from pearl_marl.golden import Draws, GoldenFunction, Word, i16
 from pearl_marl.layout import Array, Bits, Flag, Range, Signed
 
-NOTHING, LEFT, UP, RIGHT, DOWN, FIRE = range(6)
 LAST_COLUMN, DEEPEST = 9, 8  # the sea has rows 1 to 8; 0 is the surface
 MAX_OXYGEN, MAX_DIVERS, LEAST_DIVERS = 200, 6, -(1 << 15)
 RELOAD_STEPS, FIRE_INTERVAL = 5, 10
@@ -132,47 +141,9 @@ def each_plane(change: Callable[..., Word], *groups: Any) -> Any:
     return type(first)(*planes) if hasattr(first, "_fields") else planes
 
 
-def bits(number: Word, count: int) -> list[Word]:
-    """Return the bits of a number, the lowest first."""
-    return [number >> k & 1 for k in range(count)]
-
-
-def spread(bit: Word) -> Word:
-    """Return a plane of this bit in every place."""
-    return -1 if bit else 0
-
-
-def lowest(plane: Word) -> Word:
-    """Keep the lowest set bit only: the first of the list."""
-    return plane & -plane
-
-
-def places_of(planes: list[Word], number: Word) -> Word:
-    """Return the places where a number stands."""
-    differ = 0
-    for k, plane in enumerate(planes):
-        differ = differ | (plane ^ spread(number >> k & 1))
-    return ~differ
-
-
 def in_row(row: list[Word], y: Word) -> Word:
     """Return the places in row ``y`` of the board; their planes count rows of the sea, from 0."""
     return places_of(row, y - 1) if 1 <= y <= DEEPEST else 0
-
-
-def moved(column: list[Word], rightward: Word, moves: Word) -> list[Word]:
-    """Move the places of ``moves`` a column on. From 0 to the left is 15, from 9 to the right is 10."""
-    result = []
-    for plane in column:
-        result.append(plane ^ moves)
-        # A carry goes on through ones to the right, a borrow through zeros to the left.
-        moves = moves & ~(plane ^ rightward)
-    return result
-
-
-def off_board(column: list[Word]) -> Word:
-    """Return the places whose column is 10 or more."""
-    return column[3] & (column[1] | column[2])
 
 
 def moved_x(x: Word, rightward: Word, moves: Word) -> Word:
@@ -180,16 +151,11 @@ def moved_x(x: Word, rightward: Word, moves: Word) -> Word:
     return (x + (moves & rightward) - (moves & (rightward == 0))) & 15
 
 
-def counted_down(timer: list[Word], interval: Word) -> tuple[list[Word], Word]:
+def repeated(timer: list[Word], interval: Word) -> tuple[list[Word], Word]:
     """Count a timer down in all places; return it, beginning anew where it was 0, and these places."""
-    result = []
-    ends = -1
-    for plane in timer:
-        result.append(plane ^ ends)
-        ends = ends & ~plane
-    # Counting down from 0 gives ones, of which the bits of the interval are kept.
+    timer, ends = counted_down(timer, -1)
     kept = [~ends | spread(bit) for bit in bits(interval, len(timer))]
-    return [plane & bit for plane, bit in zip(result, kept, strict=True)], ends
+    return [plane & bit for plane, bit in zip(timer, kept, strict=True)], ends
 
 
 def first_struck(there: Word, submarine: Word) -> Word:
@@ -317,7 +283,7 @@ def make_step(sticky_below: int, ramping: bool) -> GoldenFunction:
         # Enemies meet the submarine, move, meet it again, and may swim into a bullet.
         beside = in_row(enemies.row, y)
         met = alive & beside & places_of(enemies.column, x)
-        move, moves = counted_down(timers.move, move_interval)
+        move, moves = repeated(timers.move, move_interval)
         column = moved(enemies.column, enemies.rightward, moves)
         armed = alive & enemies.submarine  # a submarine that is struck now may still fire
         alive = alive & ~off_board(column)
@@ -333,7 +299,7 @@ def make_step(sticky_below: int, ramping: bool) -> GoldenFunction:
         enemies = enemies._replace(alive=alive, column=column)
 
         # Submarines fire, the newer first: at most two, `low` the older.
-        fire, ready = counted_down(timers.fire, FIRE_INTERVAL)
+        fire, ready = repeated(timers.fire, FIRE_INTERVAL)
         fires = armed & ready
         low = lowest(fires)
         high = fires ^ low

@@ -43,6 +43,15 @@ ENVPOOL_GAMES = {
 }
 """What EnvPool calls those of its environments whose oracle has another id, or none, by our names."""
 
+PGX_GAMES = {
+    "Asterix": "minatar-asterix",
+    "Breakout": "minatar-breakout",
+    "Freeway": "minatar-freeway",
+    "Seaquest": "minatar-seaquest",
+    "SpaceInvaders": "minatar-space_invaders",
+}
+"""What pgx calls its forms of MinAtar's games."""
+
 ENVPOOL_AGENTS = {"RobotWarehouse": 4}
 """How many agents these have, where ours has another number."""
 
@@ -78,6 +87,7 @@ def peers(spec: EnvSpec, n: int) -> list[Contender]:
             ("Gymnasium AsyncVectorEnv", f"{arrays}; a process a slot", asynchronous, processes),
             ("Gymnasium's own vectorisation", f"{arrays}; NumPy, one thread", n, own),
             ("MinAtar", "observations, rewards, ends; Python, one thread", sync, _minatar),
+            ("pgx", "all result arrays, default options; JAX, compiled, on all cores", n, _pgx),
         ]
     return [Contender(name, counts, count, partial(make, spec, count)) for name, counts, count, make in rows]
 
@@ -436,21 +446,48 @@ class _Vectorised:
 
 
 def _minatar(spec: EnvSpec, count: int) -> Step:
-    game = _required(spec, "MinAtar").partition("MinAtar/")[2].rpartition("-v")[0].lower()
-    if not game:
+    name = _required(spec, "MinAtar")
+    if "MinAtar/" not in name:
         raise UnavailableError(f"MinAtar has no {spec.name}")
     with installed("minatar"):
-        from minatar import Environment
-    actions = _actions(spec, count, np.int64).tolist()
-    envs = [Environment(game, **dict(spec.options)) for _ in range(count)]
-    for i, env in enumerate(envs):
-        env.seed(i)
+        envs: list[Any] = [gymnasium.make(name, **dict(spec.options)).unwrapped for _ in range(count)]
+    games = [env.game for env in envs]  # without what Gymnasium adds to a step
+    actions = [
+        env.action_set[action] for env, action in zip(envs, _actions(spec, count, np.int64), strict=True)
+    ]
+    for i, game in enumerate(games):
+        game.seed(i)
 
     def step() -> None:
-        for env, action in zip(envs, actions, strict=True):
-            _, ended = env.act(action)
-            env.state()
+        for game, action in zip(games, actions, strict=True):
+            _, ended = game.act(action)
+            game.state()
             if ended:
-                env.reset()
+                game.reset()
+
+    return step
+
+
+def _pgx(spec: EnvSpec, count: int) -> Step:
+    name = PGX_GAMES.get(spec.name)
+    if name is None:
+        raise UnavailableError(f"pgx has no {spec.name}")
+    with installed("pgx"):
+        import jax
+        import pgx
+        from pgx.experimental.wrappers import auto_reset
+    game: Any = pgx.make(name)
+    actions, key = _actions(spec, count, np.int32), jax.random.PRNGKey(0)
+    key, start = jax.random.split(key)
+    last = [key, jax.jit(jax.vmap(game.init))(jax.random.split(start, count))]
+
+    def advance(key: Any, state: Any, actions: Any) -> Any:
+        key, now = jax.random.split(key)
+        return key, jax.vmap(auto_reset(game.step, game.init))(state, actions, jax.random.split(now, count))
+
+    compiled = jax.jit(advance)
+
+    def step() -> None:
+        last[:] = jax.block_until_ready(compiled(*last, actions))
 
     return step

@@ -22,6 +22,7 @@ OTHER_PEERS = {
     "overcooked-ai": "overcooked-ai",
     "PettingZoo connect_four_v3": "PettingZoo",
     "PettingZoo tictactoe_v3": "PettingZoo",
+    "pgx": "pgx",
 }
 """The peers besides EnvPool in the table of all environments: contenders, and the words for them there."""
 

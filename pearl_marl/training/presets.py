@@ -51,6 +51,18 @@ WAREHOUSE: dict[str, Any] = {
     "temperature": 0.7,
 }
 
+# MinAtar's games: pictures of ten by ten, and points that come one at a time.
+MINATAR: dict[str, Any] = {
+    "n_agents": 512,
+    "iterations": 120,
+    "minibatch": 1024,
+    "learning_rate": 1e-3,
+    "discount": 0.99,
+    "gae_lambda": 0.95,
+    "entropy": 0.01,
+    "width": 128,
+}
+
 PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     # Fast rather than frugal: every step is learned from once, so another one costs little.
     ("ppo", "CartPole"): {
@@ -104,17 +116,12 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "learning_rate": 2e-3,
         "reward_scale": 0.03,
     },
+    ("ppo", "Asterix"): MINATAR,
+    ("ppo", "Breakout"): MINATAR,
+    ("ppo", "Freeway"): MINATAR,
+    ("ppo", "SpaceInvaders"): MINATAR,
     # To come up for air is of no use until the air is gone: much entropy, and a long view.
-    ("ppo", "Seaquest"): {
-        "n_agents": 512,
-        "iterations": 250,
-        "minibatch": 1024,
-        "learning_rate": 1e-3,
-        "discount": 0.995,
-        "gae_lambda": 0.95,
-        "entropy": 0.03,
-        "width": 128,
-    },
+    ("ppo", "Seaquest"): MINATAR | {"iterations": 250, "discount": 0.995, "entropy": 0.03},
     # One game is like another unless some moves are random.
     ("self-play", "ConnectFour"): {
         "n_agents": 512,

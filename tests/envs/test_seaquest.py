@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from minatar import Environment
 from scipy import stats
 
 import pearl_marl
-from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.envs.seaquest.spec import LAYOUT, minatar_attributes
 from pearl_marl.envs.seaquest.step import CHANCE, CHANCE_BITS, THIRD
-from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference, rng
-from pearl_marl.porting.oracle import Actions, Draws, Games, Ours, Outcome, compare
+from pearl_marl.porting.oracle import Actions, Draws, Ours
 from pearl_marl.spec import EnvSpec
-from pearl_marl.testing import assert_same_play, compare_pictures, first_episodes
+from pearl_marl.testing import assert_same_play, first_episodes
 from pearl_marl.testing.oracles import random_actions_of
+
+from .minatar import (
+    Match,
+    assert_a_device_plays_it,
+    assert_bad_options_are_refused,
+    assert_same_pictures,
+    edged_draws,
+    episodes_of_minatar,
+)
 
 Array = np.ndarray[Any, Any]
 COLUMN = {field.name: k for k, field in enumerate(LAYOUT.fields)}
@@ -31,100 +38,39 @@ def spec(**options: Any) -> EnvSpec:
     return pearl_marl.get_spec("Seaquest").with_options(**options)
 
 
-class Decisions:
-    """Stands for the random state of a MinAtar environment: gives out the decisions that we drew."""
-
-    def __init__(self) -> None:
-        self.queue: list[float] = []
-
-    def rand(self) -> float:
-        return self.queue.pop(0)
-
-    def randint(self, low: int, high: int) -> int:
-        value = self.queue.pop(0)
-        assert low <= value < high
-        return int(value)
-
-    def expect(self, game: Any, draw_0: int, draw_1: int) -> None:
-        """Line up those of a step, in the order in which MinAtar asks for them."""
-        assert not self.queue
-        self.queue.append((draw_1 & CHANCE) / (1 << CHANCE_BITS))
-        if game.e_spawn_timer == 0:
-            kind = (draw_0 & CHANCE) / (1 << CHANCE_BITS)
-            self.queue += [0.0 if draw_0 >> 31 else 0.5, kind, 1 + (draw_0 >> 28 & 7)]
-        if game.d_spawn_timer == 0:
-            self.queue += [0.0 if draw_1 >> 31 else 0.5, 1 + (draw_1 >> 28 & 7)]
+def decide(environment: Any, action: int, draws: Sequence[int]) -> list[Any]:
+    """Line up the decisions of a step, in the order in which MinAtar asks for them."""
+    game, (draw_0, draw_1) = environment.env, draws
+    queue: list[Any] = [(draw_1 & CHANCE) / (1 << CHANCE_BITS)]
+    if game.e_spawn_timer == 0:
+        kind = (draw_0 & CHANCE) / (1 << CHANCE_BITS)
+        queue += [0.0 if draw_0 >> 31 else 0.5, kind, 1 + (draw_0 >> 28 & 7)]
+    if game.d_spawn_timer == 0:
+        queue += [0.0 if draw_1 >> 31 else 0.5, 1 + (draw_1 >> 28 & 7)]
+    return queue
 
 
-def minatar(**options: Any) -> Any:
-    """Return MinAtar's environment, its draws to be given to it."""
-    environment = Environment("seaquest", **options)
-    environment.random = environment.env.random = Decisions()
-    return environment
+DRAWS = edged_draws(0, THIRD - 1, THIRD, CHANCE, 26843545, 26843546, mask=CHANCE)
 
 
-def some_draws(generator: np.random.Generator, n: int, count: int) -> Array:
-    """Return the two draws of ``n`` slots; now and then one at which a decision changes."""
-    both = generator.integers(1 << 32, size=(n, count), dtype=np.uint32)
-    edges = np.array([0, THIRD - 1, THIRD, CHANCE, 26843545, 26843546], np.uint32)
-    edged = generator.random((n, count)) < 0.1
-    both[edged] = both[edged] & np.uint32(15 << 28) | generator.choice(edges, np.count_nonzero(edged))
-    return both.astype(np.int64)
-
-
-class Match:
-    """The golden step and MinAtar side by side, ``n`` of each.
-
-    Where ``immortal``, an end is put aside and the game goes on, until the sea is as full as it can get.
-    """
+class Sea:
+    """Matches of Seaquest, and how full the sea was in them."""
 
     def __init__(self, n: int, immortal: bool = False, **options: Any) -> None:
-        self.spec, self.n, self.immortal = spec(**options), n, immortal
-        self.theirs = [minatar(**options) for _ in range(n)]
-        self.words = [np.full(n, word) for word in call_reference(self.spec.positional.initial, ())]
-        self.episodes = self.most_enemies = self.most_bullets = 0
+        self.most_enemies = self.most_bullets = 0
+        self.match = Match(
+            spec(**options), range(6), minatar_attributes, decide, n, immortal, after=self.look
+        )
+        self.words = self.match.words
 
-    def play(self, policy: Actions, steps: int, seed: int, draws: Draws = some_draws) -> None:
-        """Go on by so many steps, and compare whatever the two have after each."""
-        games = Games(self.spec, self.theirs, self.pose, self.step, lambda game: Outcome(game.env.state()))
-        for move in compare(
-            self.spec,
-            games,
-            self.n,
-            steps,
-            state=self.words,
-            actions=policy,
-            draws=draws,
-            seed=seed,
-            restarts=not self.immortal,
-        ):
-            self.words = move.after
-            self.episodes += int(move.ended.sum())
-            for k, environment in enumerate(self.theirs):
-                self.compare_attributes(k, environment)
-
-    def pose(self, environment: Any, state: Any) -> None:
-        environment.reset()
-        vars(environment.env).update(minatar_attributes(state))
-        environment.last_action = state.last_action
-
-    def step(self, environment: Any, actions: list[int], draws: list[int]) -> Outcome:
-        game = environment.env
-        environment.random.expect(game, *draws)
-        reward, end = environment.act(actions[0])
-        assert not environment.random.queue
-        if self.immortal:
-            game.terminal, game.oxygen = False, max(0, game.oxygen)
+    def look(self, game: Any) -> None:
+        game.oxygen = max(0, game.oxygen)  # MinAtar counts to -1 in the step that ends an episode
         self.most_enemies = max(self.most_enemies, len(game.e_fish) + len(game.e_subs))
         self.most_bullets = max(self.most_bullets, len(game.e_bullets))
-        last = {"last_action": environment.last_action}
-        return Outcome(game.state(), reward, end, state=last)
 
-    def compare_attributes(self, k: int, environment: Any) -> None:
-        ours = minatar_attributes(LAYOUT.built(int(column[k]) for column in self.words))
-        game = environment.env
-        # MinAtar counts to -1 in the step that ends an episode.
-        assert ours == {name: getattr(game, name) for name in ours} | {"oxygen": max(0, game.oxygen)}
+    def play(self, policy: Actions, steps: int, seed: int, draws: Draws = DRAWS) -> None:
+        self.match.play(policy, steps, seed, draws)
+        self.words = self.match.words
 
 
 def at_random(ours: Ours, generator: np.random.Generator) -> Array:
@@ -158,9 +104,9 @@ def bobbing(ours: Ours, generator: np.random.Generator) -> Array:
     ],
 )
 def test_whole_episodes(policy: Actions, n: int, steps: int, episodes: int) -> None:
-    match = Match(n)
+    match = Sea(n)
     match.play(policy, steps, seed=1)
-    assert match.episodes >= episodes
+    assert match.match.episodes >= episodes
 
 
 @pytest.mark.parametrize(
@@ -172,7 +118,7 @@ def test_whole_episodes(policy: Actions, n: int, steps: int, episodes: int) -> N
     ],
 )
 def test_options(options: dict[str, Any]) -> None:
-    match = Match(8, immortal=True, **options)
+    match = Sea(8, immortal=True, **options)
     match.play(bobbing, 120, seed=2)
     # The one diver more that is taken from six lets it surface without an end.
     match.words[COLUMN["ramp"]][:], match.words[COLUMN["aboard"]][:] = 0, 6
@@ -189,7 +135,7 @@ def test_options(options: dict[str, Any]) -> None:
 @pytest.mark.parametrize("policy", [at_random, bobbing])
 def test_crowded_seas(n: int, steps: int, policy: Actions) -> None:
     """Every difficulty from the start, and nobody dies of it."""
-    match = Match(n, immortal=True)
+    match = Sea(n, immortal=True)
     match.words[COLUMN["ramp"]][:] = np.random.default_rng(3).integers(20, size=n)
     match.words[COLUMN["aboard"]][:] = -1
     match.play(policy, steps, seed=3)
@@ -204,7 +150,7 @@ def test_no_list_overflows(submarines: bool) -> None:
     An entry pushed out of its list while alive would be missing beside MinAtar's.
     """
     n, steps = 6, itertools.count()
-    match = Match(n, immortal=True, sticky_action_prob=0.0)
+    match = Sea(n, immortal=True, sticky_action_prob=0.0)
     match.words[COLUMN["aboard"]][:] = -1
 
     def draws(generator: np.random.Generator, n: int, count: int) -> Array:
@@ -226,30 +172,7 @@ def test_no_list_overflows(submarines: bool) -> None:
 
 
 def test_a_device_plays_minatars_game() -> None:
-    """The CPU device with its own draws, known from the seed: observations, rewards, ends, resets."""
-    n, seed, config = 70, 5, spec()
-    device = Native().open(BatchConfig(spec=config, n_envs=n))
-    theirs = [minatar() for _ in range(n)]
-    seen = device.reset(seed=seed)
-    np.testing.assert_array_equal(seen, [environment.state() for environment in theirs])
-    generator, ended = np.random.default_rng(6), 0
-    for step in range(40):
-        actions = generator.integers(6, size=n).astype(np.uint8)
-        draws = [rng.draws(rng.seed_words(seed), np.arange(n), step, index) for index in (0, 1)]
-        batch = device.step(actions)
-        arrivals = batch.arrivals()
-        for k, environment in enumerate(theirs):
-            environment.random.expect(environment.env, *(int(draw[k]) for draw in draws))
-            reward, end = environment.act(int(actions[k]))
-            assert (batch.rewards[k], batch.terminations[k]) == (reward, end), f"step {step}"
-            np.testing.assert_array_equal(arrivals[k], environment.state())
-            if end:
-                ended += 1
-                environment.reset()
-                environment.last_action = NOTHING
-            np.testing.assert_array_equal(batch.obs[k], environment.state())
-    assert ended > n / 2
-    device.close()
+    assert_a_device_plays_it(spec(), decide, lambda draws: [], n=70, steps=40, ends=36)
 
 
 def test_draws_decide_as_often_as_minatars() -> None:
@@ -272,27 +195,11 @@ def test_draws_decide_as_often_as_minatars() -> None:
     assert stats.binomtest(repeated, n, 0.1).pvalue > 0.001
 
 
-def episodes_of_minatar(n: int, seed: int) -> tuple[Array, Array]:
-    """Return length and return of ``n`` episodes of MinAtar's own under the random policy."""
-    environment, generator = Environment("seaquest"), np.random.default_rng(seed)
-    environment.seed(seed)
-    lengths, returns = np.zeros(n, int), np.zeros(n)
-    for k in range(n):
-        environment.reset()
-        environment.last_action = NOTHING
-        end = False
-        while not end:
-            reward, end = environment.act(int(generator.integers(6)))
-            lengths[k] += 1
-            returns[k] += reward
-    return lengths, returns
-
-
 @pytest.mark.slow
 def test_episodes_of_a_random_policy() -> None:
     """20,000 episodes of each: lengths and returns have one distribution, by Kolmogorov and Smirnov."""
     ours = first_episodes(spec(), 20_000, 1, random_actions_of(spec()))
-    assert_same_play(ours, episodes_of_minatar(20_000, 2))
+    assert_same_play(ours, episodes_of_minatar(spec(), 20_000, 2))
 
 
 @pytest.mark.parametrize("version", [0, 1])
@@ -310,29 +217,10 @@ def test_words_are_no_wider_than_the_papers() -> None:
     assert [sum(field.bits for field in fields) for fields in words] == [694, 3, 440, 4]
 
 
-@pytest.mark.parametrize("bad", [-0.1, 1.5, float("nan"), "often", True, None])
-def test_bad_sticky_action_prob(bad: Any) -> None:
-    with pytest.raises(ArgumentError, match=r"sticky_action_prob is .*from 0 to 1"):
-        spec(sticky_action_prob=bad)
-
-
-def test_bad_difficulty_ramping() -> None:
-    with pytest.raises(ArgumentError, match="difficulty_ramping is 1; it must be True or False"):
-        spec(difficulty_ramping=1)
+def test_bad_options() -> None:
+    assert_bad_options_are_refused(spec())
 
 
 def test_pictures_are_minatars() -> None:
-    pytest.importorskip("seaborn", reason="MinAtar takes its colours from seaborn")
-    theirs = gymnasium.make(str(spec().oracle), render_mode="rgb_array")
-    theirs.reset()
-    game = theirs.unwrapped.game
-
-    def drawn(state: Any) -> Any:
-        vars(game.env).update(minatar_attributes(state))
-        game.last_action = state.last_action
-        return np.rint(255 * theirs.render()).astype(np.uint8)
-
     # Down at first and then still, where nothing happens for a while.
-    actions = [UP, *[DOWN] * 5, *[LEFT, RIGHT, FIRE] * 18]
-    compare_pictures(spec(), "rgb_array", drawn, actions, different=20, seed=7)
-    theirs.close()
+    assert_same_pictures(spec(), [UP, *[DOWN] * 5, *[LEFT, RIGHT, FIRE] * 18], different=20, seed=7)

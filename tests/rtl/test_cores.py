@@ -47,7 +47,11 @@ OPTIONS: dict[str, list[dict[str, Any]]] = {
     "CartPole": [{}, {"sutton_barto_reward": True}],
     "Pendulum": [{}, {"g": -3.7}],
     "MountainCar": [{}, {"goal_velocity": 0.01}],
+    "Asterix": [{}, {"sticky_action_prob": 0.0, "use_minimal_action_set": False}],
+    "Breakout": [{}, {"sticky_action_prob": 0.0, "use_minimal_action_set": False}],
+    "Freeway": [{}],
     "Seaquest": [{}, {"sticky_action_prob": 0.9, "difficulty_ramping": False}],
+    "SpaceInvaders": [{}, {"difficulty_ramping": False, "use_minimal_action_set": False}],
     "Taxi": [
         {},
         {"fickle_passenger": True, "fickle_probability": 0.5},

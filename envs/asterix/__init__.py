@@ -1,0 +1,1 @@
+"""Asterix: enemies and treasure in eight rows, as MinAtar has them."""

@@ -1,0 +1,1 @@
+"""Freeway: a chicken crosses eight lanes of cars, as MinAtar has it."""

@@ -1,0 +1,1 @@
+"""SpaceInvaders: a cannon under a formation of aliens, as MinAtar has them."""
