@@ -57,11 +57,11 @@ class Grid(NamedTuple):
                 near[r + 2] |= by_distance[abs(r - other)] << self.row_bits * other
         result = []
         for k, word in enumerate(free):
-            gone = 0
+            taken = 0
             for r, cells in enumerate(near, -2):
                 if row == 1 + self.word_rows * k + r:
-                    gone = cells
-            result.append(word ^ (word & gone))
+                    taken = cells
+            result.append(word ^ (word & taken))
         return result
 
     def chosen(self, free: Sequence[Word], counts: Sequence[Word], rank: Word) -> tuple[Word, Word]:

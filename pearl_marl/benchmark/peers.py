@@ -55,13 +55,18 @@ PGX_GAMES = {
 ENVPOOL_AGENTS = {"RobotWarehouse": 4}
 """How many agents these have, where ours has another number."""
 
-GYMNAX = {
-    "CartPole": "CartPole-v1",
-    "MountainCar": "MountainCar-v0",
-    "FrozenLake": "FrozenLake-misc",
-    "Seaquest": "Seaquest-MinAtar",
+GYMNAX: dict[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
+    "Acrobot": ("Acrobot-v1", (), ()),
+    "CartPole": ("CartPole-v1", (), ()),
+    "Catch": ("Catch-bsuite", ("rows", "columns"), ()),
+    "DeepSea": ("DeepSea-bsuite", ("size",), ("unscaled_move_cost", "randomize_actions")),
+    "FrozenLake": ("FrozenLake-misc", (), ()),
+    "MemoryChain": ("MemoryChain-bsuite", ("num_bits",), ("memory_length",)),
+    "MountainCar": ("MountainCar-v0", (), ()),
+    "MountainCarContinuous": ("MountainCarContinuous-v0", (), ("goal_velocity",)),
+    "Seaquest": ("Seaquest-MinAtar", (), ()),
 }
-"""gymnax's names of environments, by ours."""
+"""gymnax's names of environments, by ours; then which of our options it takes for one, and as parameters."""
 
 ENVPOOL_SEEDED = (1, 2, 6)
 """The first version of EnvPool whose games of foraging start differently. It takes Python 3.12."""
@@ -319,23 +324,26 @@ def _coin_game(spec: EnvSpec, count: int) -> Step:
     return _compiled(jax, game.reset, game.step, actions, worlds)
 
 
-GYMNAX = {
-    "Acrobot": ("Acrobot-v1", (), ()),
-    "Catch": ("Catch-bsuite", ("rows", "columns"), ()),
-    "DeepSea": ("DeepSea-bsuite", ("size",), ("unscaled_move_cost", "randomize_actions")),
-    "MemoryChain": ("MemoryChain-bsuite", ("num_bits",), ("memory_length",)),
-    "MountainCarContinuous": ("MountainCarContinuous-v0", (), ("goal_velocity",)),
-}
-"""What gymnax calls its environments, by our names; then options of the environment, and parameters."""
+def gymnax_of(spec: EnvSpec) -> tuple[Any, Any]:
+    """Return gymnax's environment and its parameters.
+
+    Raises
+    ------
+    UnavailableError
+        gymnax is not installed, or has no such environment.
+    """
+    with installed("gymnax"):
+        import gymnax
+    if spec.name not in GYMNAX:
+        raise UnavailableError(f"gymnax has no {spec.name}")
+    name, of_env, of_params = GYMNAX[spec.name]
+    env, params = gymnax.make(name, **{key: spec.options[key] for key in of_env})
+    return env, params.replace(**{key: spec.options[key] for key in of_params})
 
 
 def _gymnax(spec: EnvSpec, count: int) -> Step:
-    with installed("gymnax"):
-        import gymnax
-        import jax
-    name, of_env, of_params = GYMNAX[spec.name]
-    env, params = gymnax.make(name, **{key: spec.options[key] for key in of_env})
-    params = params.replace(**{key: spec.options[key] for key in of_params})
+    env, params = gymnax_of(spec)
+    import jax
 
     def reset(key: Any) -> Any:
         return env.reset(key, params)

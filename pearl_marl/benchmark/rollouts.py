@@ -13,7 +13,7 @@ import numpy as np
 from pearl_marl.batch.config import BatchConfig, worlds_of
 from pearl_marl.batch.step import Array
 from pearl_marl.benchmark.measure import Contender, Step, UnavailableError
-from pearl_marl.benchmark.peers import GYMNAX, envpool_of, installed, quiet_spaces
+from pearl_marl.benchmark.peers import envpool_of, gymnax_of, installed, quiet_spaces
 from pearl_marl.devices import Native
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies import Policy
@@ -135,12 +135,9 @@ def _envpool(network: IntegerNetwork, n: int) -> Step:
 def gymnax_rollout(network: IntegerNetwork, n: int) -> Step:
     """Return a rollout of gymnax's form of an environment, with a network of the same sizes, in JAX."""
     spec, shapes = network.spec, _shapes(network)
-    with installed("'.[peers]'"):
-        import gymnax
-        import jax
-    if spec.name not in GYMNAX:
-        raise UnavailableError(f"gymnax has no {spec.name}")
-    env, params = gymnax.make(GYMNAX[spec.name])
+    env, params = gymnax_of(spec)
+    import jax
+
     random = np.random.default_rng(0)
     weights = [random.normal(size=shape).astype(np.float32) for shape in shapes]
     step = jax.vmap(env.step, in_axes=(0, 0, 0, None))

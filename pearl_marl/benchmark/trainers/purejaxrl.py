@@ -11,16 +11,16 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, NamedTuple
 
-import gymnax
 import jax
 import jax.numpy as jnp
 import numpy as np
 import numpy.typing as npt
 import optax
 
-from pearl_marl.benchmark.peers import GYMNAX
+from pearl_marl.benchmark.peers import gymnax_of
 from pearl_marl.benchmark.training import TrainingTask
 from pearl_marl.benchmark.watch import Watch
+from pearl_marl.envs import get_spec
 
 
 class Transition(NamedTuple):
@@ -106,7 +106,7 @@ def network(params: Any, obs: Any) -> tuple[Any, Any]:
 
 def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     """Train until the watch says that it is over."""
-    env, env_params = gymnax.make(GYMNAX[task.env_id])
+    env, env_params = gymnax_of(get_spec(task.env_id))
     space: Any = env.observation_space(env_params)
     numbers, vector = not space.shape, len(space.shape) == 1
     shape = (int(space.n),) if numbers else space.shape
