@@ -77,8 +77,8 @@ class _Trained(nn.Module):
 class Remembering:
     """A policy with memory as a function, which is called once for each step of all its agents.
 
-    Whoever steps them calls ``forget`` after each step with those whose episodes ended, and without any
-    argument before a reset: see :func:`pearl_marl.policies.loading.forget`.
+    ``forget`` is to be called after each step, with those whose episodes ended, and without an argument
+    before a reset: see :func:`pearl_marl.policies.loading.forget`.
     """
 
     def __init__(self, policy: NetworkPolicy) -> None:
