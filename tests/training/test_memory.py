@@ -15,7 +15,7 @@ import torch
 
 from pearl_marl import EnvSpec, get_spec
 from pearl_marl.errors import ArgumentError
-from pearl_marl.evaluation.matches import Match
+from pearl_marl.evaluation.matches import Match, cross_table
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies import trained
 from pearl_marl.policies.loading import load_policy, random_policy
@@ -152,8 +152,13 @@ def test_gradients_go_back_through_a_chunk_and_no_further() -> None:
     obs = chunks.inputs.obs.clone().requires_grad_()
     inputs = chunks.inputs._replace(obs=obs, begins=torch.zeros_like(chunks.inputs.begins))
     outputs, _, _ = trainer.model.unrolled(inputs)
-    outputs.reshape(6, 48, -1)[-1].sum().backward()
-    assert (obs.grad != 0).any(2).all()
+    second = range(24, 48)  # columns of each agent's second chunk
+    outputs.reshape(6, 48, -1)[-1, second].sum().backward()
+    assert (obs.grad[:, second] != 0).any(2).all()
+    assert not obs.grad[:, :24].any()
+    # What the second chunk begins with came of the first chunk's steps, and is a constant here.
+    assert inputs.memory[0, second].any()
+    assert not inputs.memory.requires_grad
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "pqn"])
@@ -191,6 +196,34 @@ def test_a_policys_file_remembers(tmp_path: Path) -> None:
             pass
     assert results[0].digest == results[1].digest
     assert evaluate(again, MEADOW, 40) == evaluate(trainer.policy, MEADOW, 40)
+
+
+@pytest.fixture
+def players(tmp_path: Path) -> list[Any]:
+    """One policy with memory, loaded twice."""
+    trainer = small("pqn", MEADOW)
+    trainer.iterate()
+    trainer.policy.save(tmp_path / "policy.safetensors")
+    return [load_policy(str(tmp_path), MEADOW) for _ in range(2)]
+
+
+def test_a_policy_against_itself_remembers_each_step_once(players: list[Any]) -> None:
+    one, other = players
+    again = trained.Remembering(one._policy)
+    digests = []
+    for against in (other, one, again):
+        match = Match(MEADOW, one, against, 40, seed=3)
+        for _ in match.run():
+            pass
+        digests.append(match.digest)
+    assert len(set(digests)) == 1
+
+
+def test_a_match_forgets_what_the_last_one_left(players: list[Any]) -> None:
+    """A policy has one result against equal opponents."""
+    policies = {"one": players[0], "second": random_policy(MEADOW, 1), "third": random_policy(MEADOW, 1)}
+    first, second, _ = cross_table(MEADOW, policies, 40, seed=3)
+    assert first["digest"] == second["digest"]
 
 
 def test_what_cannot_remember_is_refused(tmp_path: Path) -> None:
