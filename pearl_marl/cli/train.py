@@ -228,13 +228,13 @@ def _tell_spread(population: Any, env_id: str, algorithm: str, as_json: bool) ->
     last = population.spread()[-1]
     if as_json:
         result = {"environment": env_id, "algorithm": algorithm, "folder": str(population.folder)}
-        runs = [
-            {"seed": run.trainer.settings.seed, "best": run.best, "last": run.rows[-1]}
-            for run in population.runs
-        ]
-        common.print_json({**result, "goal": goal, "reached": reached, "spread": last, "runs": runs})
+        runs = [{"seed": run.seed, "best": run.best, "last": run.rows[-1]} for run in population.sound]
+        result |= {"goal": goal, "reached": reached, "spread": last, "runs": runs}
+        common.print_json({**result, "diverged": population.diverged})
         return
     at_goal = "" if goal is None else f" {reached} of {len(population.runs)} seeds reached {goal:g}."
+    for seed, why in population.diverged.items():
+        error_console.print(f"pearl: without seed {seed}: {why}", markup=False, soft_wrap=True)
     common.say(
         f"Mean returns {last['least']:.2f} to {last['greatest']:.2f}, median {last['median']:.2f}.{at_goal} "
         f"Wrote {population.folder}: seed-*, spread.csv, learning_curves.png"

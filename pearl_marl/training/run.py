@@ -205,6 +205,11 @@ class TrainingRun:
         self._began = self._kept = time.perf_counter()
 
     @property
+    def seed(self) -> int:
+        """The seed of everything random."""
+        return int(self.trainer.settings.seed)
+
+    @property
     def rows(self) -> list[dict[str, Any]]:
         """The metrics so far, a dict for each evaluation."""
         return self.folder.rows
@@ -251,8 +256,7 @@ class TrainingRun:
     def keep(self) -> None:
         """Keep all that is needed to go on later, also between two evaluations."""
         self._checkpoint()
-        if self.rows:
-            self._draw_curve()
+        self._draw_curve()
 
     def _evaluate(self) -> dict[str, Any]:
         """Note the metrics, and keep the policy if it is the best so far."""
@@ -277,6 +281,8 @@ class TrainingRun:
         self._kept = time.perf_counter()
 
     def _draw_curve(self) -> None:
+        if not self.rows:
+            return
         title = f"{self.spec.name}: {self.algorithm}, {self.trainer.settings.n_agents:,} agents"
         self.folder.draw_curve(title, self.goal)
 

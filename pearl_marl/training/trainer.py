@@ -38,6 +38,10 @@ def threads_for(spec: EnvSpec, settings: Any) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
+class DivergedError(ArgumentError):
+    """A training whose losses are no numbers, which cannot go on."""
+
+
 class EpisodeReturns:
     """Mean return and length of the episodes that ``n`` agents finish, added up where the rewards are."""
 
@@ -123,7 +127,7 @@ class Trainer:
     def check(self, losses: Tensor) -> None:
         """Refuse to go on from losses that are no numbers: the policy's outputs are none either, then."""
         if not torch.isfinite(losses).all():
-            raise ArgumentError(
+            raise DivergedError(
                 f"the training has diverged, as the loss of iteration {self.done + 1:,} is no number: make "
                 "the setting 'learning_rate' smaller, or bring rewards nearer to 1 with 'reward_scale'"
             )

@@ -1,4 +1,4 @@
-"""What PQN learns from: lambda-returns of the values of best actions, and actions of which a share is random."""
+"""PQN: targets are lambda-returns of the values of best actions, and a share of actions is random."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ DISCOUNT, LAMBDA, STEPS, AGENTS = 0.9, 0.6, 32, 64
 
 @pytest.mark.parametrize("memory", ["none", "gru"])
 def test_targets_are_lambda_returns(memory: str) -> None:
-    """``r + g ((1 - l) max Q' + l R')``, from what the device said of each step; at time limits ``r + g max Q'``.
+    """``r + g ((1 - l) max Q' + l R')`` of each step of the device, and ``r + g max Q'`` at time limits.
 
-    Falls and time limits, of both of which there are some, end episodes.
+    Both falls and time limits end episodes.
     """
     spec = dataclasses.replace(get_spec("CartPole") if memory == "none" else POSITIONS, max_cycles=20)
     settings = PQNSettings(
