@@ -201,7 +201,8 @@ class TrainingRun:
             "goal": training.goal,
             "evaluate_every": self.evaluate_every,
         }
-        self.folder = RunFolder(folder, about, SETTINGS[self.algorithm].successors())
+        kind = SETTINGS[self.algorithm]
+        self.folder = RunFolder(folder, about, kind.successors(), kind.defaults())
         self._began = self._kept = time.perf_counter()
 
     @property

@@ -84,6 +84,11 @@ class TrainerSettings:
         named = ((f.metadata["formerly"], f.name) for f in fields(cls))  # type: ignore[arg-type]
         return {old: new for old, new in named if old}
 
+    @classmethod
+    def defaults(cls) -> dict[str, Any]:
+        """Return the default of each setting."""
+        return {f.name: f.default for f in fields(cls)}  # type: ignore[arg-type]
+
     def __post_init__(self) -> None:
         for setting in fields(self):  # type: ignore[arg-type]
             value, possible = getattr(self, setting.name), self.range(setting.name)
