@@ -230,6 +230,8 @@ def test_what_cannot_remember_is_refused(tmp_path: Path) -> None:
     trainer = small("ppo", POSITIONS)
     with pytest.raises(ArgumentError, match="the policy has a memory, for which integers have no layer"):
         quantized(trainer.policy, np.zeros((1, 2), np.float32))
+    with pytest.raises(ArgumentError, match="the network has a memory, and one call does not say"):
+        trainer.policy(torch.zeros(1, 2))
     with pytest.raises(
         ArgumentError, match="'chunk_length' is 7; with a memory it must divide rollout_length, 24"
     ):
