@@ -37,8 +37,9 @@ class RolloutBuffer(NamedTuple):
     ended: Tensor  # which episodes ended
 
     def flat(self) -> RolloutBuffer:
-        """Return steps and agents as one axis."""
-        return self.map(lambda tensor: tensor.flatten(0, 1))
+        """Return steps and agents as one axis; without memories, which not every step has."""
+        steps = self._replace(inputs=self.inputs._replace(memory=None))
+        return steps.map(lambda tensor: tensor.flatten(0, 1))
 
     def pick(self, rows: Any) -> RolloutBuffer:
         """Return some rows."""

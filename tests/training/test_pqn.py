@@ -27,7 +27,7 @@ def test_targets_are_lambda_returns(memory: str) -> None:
     """
     spec = dataclasses.replace(get_spec("CartPole") if memory == "none" else POSITIONS, max_cycles=20)
     settings = PQNSettings(
-        n_agents=AGENTS, rollout_length=STEPS, chunk_length=8, memory=memory, width=16, epsilon=0.3
+        n_agents=AGENTS, rollout_length=STEPS, chunk_length=1, memory=memory, width=16, epsilon=0.3
     )
     trainer = PQN(spec, "native", dataclasses.replace(settings, q_lambda=LAMBDA, discount=DISCOUNT))
     trainer.iterate()
