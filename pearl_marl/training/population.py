@@ -70,6 +70,8 @@ class Population:
             one = dataclasses.replace(training, settings=settings)
             path = folder / f"seed-{seed}"
             run = TrainingRun(one, path, None, evaluated, checkpoint_seconds)
+            need = run.trainer.need
+            need.check(seeds if need.lasting else min(seeds, os.cpu_count() or 1))
             self.runs.append(run)
 
     @property

@@ -15,6 +15,7 @@ from pearl_marl.policies.network import masked
 from pearl_marl.policies.policy_file import check_weights
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.restoring import copied, saved_bytes, whole
+from pearl_marl.training.settings import MemoryNeed
 
 SECOND_THREAD = 1 << 17
 """Elements of a layer's output from which on a second thread pays, except for pictures."""
@@ -100,6 +101,7 @@ class Trainer:
     """
 
     policy: Any
+    need: MemoryNeed
 
     def __init__(self, settings: Any, agents: Any, where: torch.device) -> None:
         self.settings, self.agents, self.where = settings, agents, where

@@ -18,6 +18,7 @@ from pearl_marl.errors import ArgumentError
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 training = importlib.import_module("pearl_marl.training.run")
+training_settings = importlib.import_module("pearl_marl.training.settings")
 population = importlib.import_module("pearl_marl.training.population")
 
 SMALL = {"n_agents": 16, "rollout_length": 8, "iterations": 6, "minibatch": 64, "width": 16, "seed": 3}
@@ -112,6 +113,22 @@ def test_folders_are_kept_until_their_runs_have_ended_an_iteration(
     with pytest.raises(KeyboardInterrupt):
         trained(together)
     assert ends == [slow]
+
+
+@pytest.mark.parametrize(("algorithm", "at_once"), [("ppo", 2), ("q-learning", 3)])
+def test_the_memory_of_all_seeds_counts(
+    algorithm: str, at_once: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A rollout is held in an iteration only, of which the machine's threads do so many at a time."""
+    monkeypatch.setattr(population.os, "cpu_count", lambda: 2)
+    settings = training.settings_for(algorithm, "FrozenLake", {"n_agents": 4096})
+    one = training.Training("FrozenLake", algorithm, settings)
+    size = training.TrainingRun(one, tmp_path).trainer.need.size
+    monkeypatch.setattr(training_settings, "memory_of_machine", lambda: at_once * size)
+    population.Population(one, tmp_path, 3)
+    monkeypatch.setattr(training_settings, "memory_of_machine", lambda: at_once * size - 1)
+    with pytest.raises(ArgumentError, match=f", {at_once} seeds at a time, takes at least"):
+        population.Population(one, tmp_path, 3)
 
 
 def test_a_folder_of_other_seeds_is_refused(tmp_path: Path) -> None:
