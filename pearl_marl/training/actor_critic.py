@@ -62,6 +62,9 @@ class ActorCritic(nn.Module):
         See :class:`~pearl_marl.policies.trained.NetworkPolicy`. A critic that is not central remembers too.
     """
 
+    of_best = False
+    """Whether what is expected is of the best action that masks allow, and not of an observation."""
+
     @classmethod
     def of(cls, spec: EnvSpec, settings: Any, central: bool = False) -> Self:
         """Return the model of a run with these settings."""

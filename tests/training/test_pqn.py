@@ -69,6 +69,33 @@ def test_targets_are_lambda_returns(memory: str) -> None:
     assert 0 < cuts < gathered.ended.sum()
 
 
+@pytest.mark.parametrize("memory", ["none", "gru"])
+def test_steps_to_a_time_limit_are_left_out_where_there_are_masks(memory: str) -> None:
+    """As nobody knows what would have been allowed there; the step before goes by its value."""
+    spec = dataclasses.replace(MEADOW, max_cycles=3)
+    settings = PQNSettings(
+        n_agents=64, rollout_length=16, width=16, memory=memory, q_lambda=LAMBDA, discount=DISCOUNT
+    )
+    trainer = PQN(spec, "native", settings)
+    step, cuts = trainer.worker.agents.step, []
+
+    def noted(actions: Any) -> Any:
+        result = step(actions)
+        cuts.append(result.truncations & ~result.terminations)
+        return result
+
+    trainer.worker.agents.step = noted
+    gathered = trainer.worker.gather(0)
+    cut = torch.stack(cuts)
+    assert cut.any()
+    assert not gathered.loss_mask[cut].any()
+    values = gathered.returns - gathered.advantages
+    going_on = gathered.loss_mask[:-1] & cut[1:] & ~gathered.ended[:-1]
+    assert going_on.any()
+    due = gathered.rewards[:-1] + DISCOUNT * values[1:]
+    torch.testing.assert_close(gathered.returns[:-1][going_on], due[going_on])
+
+
 @pytest.mark.parametrize("epsilon", [0.0, 0.25, 1.0])
 def test_a_share_of_actions_is_random(epsilon: float) -> None:
     """A random action is the best one by chance, too; none is one that masks forbid."""
