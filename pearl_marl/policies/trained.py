@@ -28,7 +28,10 @@ KINDS = ("logits", "values", "mean")
 """How a network's outputs are meant: see :class:`NetworkPolicy`."""
 
 SECOND_THREAD = 1 << 17
-"""Rows times width from which on a second thread helps: threads that wait for each other take longer."""
+"""Elements of a layer's output, rows times width, from which on a second thread helps, except for pictures.
+
+Of fewer, threads that wait for each other take longer.
+"""
 
 _SCALAR = torch.zeros(())
 """Stands for a tensor that a file does not have."""

@@ -13,12 +13,10 @@ from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import masked
 from pearl_marl.policies.policy_file import check_weights
+from pearl_marl.policies.trained import SECOND_THREAD
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.restoring import copied, saved_bytes, whole
 from pearl_marl.training.settings import MemoryNeed
-
-SECOND_THREAD = 1 << 17
-"""Elements of a layer's output from which on a second thread pays, except for pictures."""
 
 
 @contextmanager
