@@ -222,10 +222,10 @@ def _tell_spread(population: Any, env_id: str, algorithm: str, as_json: bool) ->
     goal, reached = population.training.goal, population.reached
     last = population.spread()[-1]
     if as_json:
-        result = {"environment": env_id, "algorithm": algorithm, "folder": str(population.folder)}
         runs = [{"seed": run.seed, "best": run.best, "last": run.rows[-1]} for run in population.sound]
-        result |= {"goal": goal, "reached": reached, "spread": last, "runs": runs}
-        common.print_json({**result, "diverged": population.diverged})
+        result = {"environment": env_id, "algorithm": algorithm, "folder": str(population.folder)}
+        figures = {"goal": goal, "reached": reached, "spread": last, "runs": runs}
+        common.print_json({**result, **figures, "diverged": population.diverged})
         return
     at_goal = "" if goal is None else f" {reached} of {len(population.runs)} seeds reached {goal:g}."
     for seed, why in population.diverged.items():
