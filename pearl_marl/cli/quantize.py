@@ -80,6 +80,16 @@ def quantize_run(
     return {**work.summary(), "file": str(file)}
 
 
+def check(policy: Any) -> None:
+    """Refuse ``--quantize`` of a training whose policy does not become integers, before it begins."""
+    from pearl_marl.policies.quantizing import check_quantizable
+
+    try:
+        check_quantizable(policy)
+    except ArgumentError as error:
+        raise ArgumentError(f"--quantize: {error}") from None
+
+
 def show(figures: dict[str, Any]) -> None:
     """Print the returns of a trained policy and of the one in integers, and where that is."""
     grid = common.table(f"Return of {figures['environment']}", ["policy"], ["mean", "95 % confidence"])

@@ -28,7 +28,7 @@ Algorithm = Annotated[
         "--algo",
         help="`ppo`, `pqn`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `self-play`.",
         autocompletion=common.completed(lambda: ALGORITHMS),
-        show_default="the environment's: `pqn` of MountainCar, else `ppo`",
+        show_default="`pqn` of MountainCar without --quantize, else `ppo`",
     ),
 ]
 Agents = Annotated[
@@ -117,7 +117,9 @@ def command(
 ) -> None:
     """Train a policy that all agents share; with the --out of a run that was killed, resume it."""
     spec = common.spec_of(env_id, option)
-    algo = algo or BEST.get(spec.name, "ppo")
+    by_default = algo is None
+    if algo is None:
+        algo = "ppo" if quantize else BEST.get(spec.name, "ppo")
     if algo not in ALGORITHMS:
         near = difflib.get_close_matches(algo, ALGORITHMS, 1)
         hint = f"did you mean {near[0]!r}?" if near else f"possible are {', '.join(map(repr, ALGORITHMS))}"
@@ -148,11 +150,14 @@ def command(
     changes |= {name: n for name, n in chosen.items() if n is not None}
     with warnings.catch_warnings(record=True) as renamed:
         warnings.simplefilter("always", DeprecationWarning)
-        settings = training.settings_for(algo, env_id, changes, shards, spec.agents)
+        try:
+            settings = training.settings_for(algo, env_id, changes, shards, spec.agents)
+        except ArgumentError as error:
+            if not by_default:
+                raise
+            raise ArgumentError(f"{error} (without --algo, {algo} learns {spec.name})") from None
     for warning in renamed:
         error_console.print(f"pearl: {warning.message}", markup=False, soft_wrap=True)
-    if quantize:
-        _check_quantizable(algo, settings)
     plan = training.Training(env_id, algo, settings, dict(spec.options), device, goal, evaluate_every)
     if seeds is not None:
         if shards is not None or quantize:
@@ -164,6 +169,8 @@ def command(
         _tell_spread(population, env_id, algo, as_json)
         return
     run = training.TrainingRun(plan, out, shards)
+    if quantize:
+        integers.check(run.trainer.policy)
     _train(run, f"{env_id}, {algo}", settings.iterations)
     rows = run.rows
     best = max(rows, key=lambda row: row["eval_return"])
@@ -180,18 +187,6 @@ def command(
     )
     if quantize:
         integers.show(integers.quantize_run(out))
-
-
-def _check_quantizable(algorithm: str, settings: Any) -> None:
-    """Refuse trainings of policies that do not become integers, before they begin."""
-    if getattr(settings, "sharing", "all") == "none":
-        raise ArgumentError(
-            "--quantize takes a policy that agents share; with sharing=none each has a network of its own"
-        )
-    if algorithm == "pqn" or getattr(settings, "memory", "none") == "gru":
-        raise ArgumentError(
-            "--quantize takes a policy without layer norm or memory: train it by ppo or dqn, without --memory"
-        )
 
 
 def _train(run: Any, title: str, iterations: int) -> None:
@@ -227,14 +222,14 @@ def _tell_spread(population: Any, env_id: str, algorithm: str, as_json: bool) ->
     goal, reached = population.training.goal, population.reached
     last = population.spread()[-1]
     if as_json:
+        runs = [{"seed": run.seed, "best": run.best, "last": run.rows[-1]} for run in population.sound]
         result = {"environment": env_id, "algorithm": algorithm, "folder": str(population.folder)}
-        runs = [
-            {"seed": run.trainer.settings.seed, "best": run.best, "last": run.rows[-1]}
-            for run in population.runs
-        ]
-        common.print_json({**result, "goal": goal, "reached": reached, "spread": last, "runs": runs})
+        figures = {"goal": goal, "reached": reached, "spread": last, "runs": runs}
+        common.print_json({**result, **figures, "diverged": population.diverged})
         return
     at_goal = "" if goal is None else f" {reached} of {len(population.runs)} seeds reached {goal:g}."
+    for seed, why in population.diverged.items():
+        error_console.print(f"pearl: without seed {seed}: {why}", markup=False, soft_wrap=True)
     common.say(
         f"Mean returns {last['least']:.2f} to {last['greatest']:.2f}, median {last['median']:.2f}.{at_goal} "
         f"Wrote {population.folder}: seed-*, spread.csv, learning_curves.png"

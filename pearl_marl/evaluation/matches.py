@@ -66,11 +66,13 @@ class Match(Evaluation):
 
         rng = np.random.default_rng(checked_seed(seed))
         first, second = (acting(of, lambda: self.device) for of in (policy, against))
+        alone = _are_one(policy, against)
 
         def choose(*observed: Array) -> Array:
             # Both policies get all rows: some choose by an agent's row.
-            ours, theirs = np.asarray(first(*observed)), np.asarray(second(*observed))
-            actions = np.where(_broadcast(self.seats, ours), ours, theirs)
+            actions = np.asarray(first(*observed))
+            if not alone:  # a second call would move its memory on by another step
+                actions = np.where(_broadcast(self.seats, actions), actions, np.asarray(second(*observed)))
             if self.elapsed.min() < openings:
                 drawn = random_actions(spec, rng, n_agents, *observed[1:])
                 opening = np.repeat(self.elapsed < openings, spec.agents)
@@ -78,7 +80,7 @@ class Match(Evaluation):
             return actions
 
         super().__init__(spec, choose, n_agents, device, seed=seed, max_cycles=max_cycles)
-        self._players = policy, against
+        self._players = (policy,) if alone else (policy, against)
         self.elapsed = np.zeros(self.config.n_envs, np.int64)
 
     def _count(self, step: BatchStep) -> int:
@@ -137,6 +139,12 @@ def cross_table(
             for _ in match.run():
                 pass
             yield {"policy": first, "against": second, **match.outcome(), "digest": match.digest}
+
+
+def _are_one(policy: Policy | DevicePolicy, against: Policy | DevicePolicy) -> bool:
+    """Return whether two policies are one, or have one memory."""
+    memories = [getattr(of, "forget", None) for of in (policy, against)]
+    return policy is against or (memories[0] is not None and memories[0] == memories[1])
 
 
 def _broadcast(flags: Array, actions: Array) -> Array:

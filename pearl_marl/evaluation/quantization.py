@@ -46,9 +46,10 @@ class Quantization:
     after: Array
 
     def __init__(self, path: Path, seed: int, weight_bits: int, activation_bits: int) -> None:
-        from pearl_marl.policies import trained  # which takes torch
+        from pearl_marl.policies import quantizing, trained  # which take torch
 
         self._policy = trained.load(path)
+        quantizing.check_quantizable(self._policy)
         self.spec = self._policy.spec
         self._seed, self._bits = seed, (weight_bits, activation_bits)
 

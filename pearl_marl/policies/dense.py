@@ -281,7 +281,7 @@ def _standardised(h: Array, width: int, high: int, rows: int, norm: Array, scale
 
 @_summed
 def _through_norm(by: Array, width: int, high: int, rows: int, norm: Array, scale: Array) -> None:
-    """Replace gradients by what :func:`_standardised` made by those by what it was given."""
+    """Turn gradients by layer norm's outputs into gradients by its inputs."""
     for row in range(rows):
         start = row * high
         mean = along = _NONE

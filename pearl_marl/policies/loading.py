@@ -88,7 +88,7 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy | DevicePolic
 def forget(policy: Policy | DevicePolicy, ended: Array | None = None) -> None:
     """Have a policy with memory forget agents: those whose flag, shape ``(n,)``, says so, or all."""
     if (method := getattr(policy, "forget", None)) is not None:
-        method(ended)
+        method(*(() if ended is None else (ended,)))
 
 
 def random_policy(spec: EnvSpec, seed: int = 0) -> Policy:
@@ -174,13 +174,19 @@ def _function(module: str, name: str) -> Policy:
     if not callable(policy):
         raise ArgumentError(f"{module} has no function {name!r}")
 
-    def called(*seen: Array) -> Any:
-        try:
-            return policy(*seen)
-        except (Exception, SystemExit) as error:
-            raise ArgumentError(f"the policy {module}:{name} failed: {_what_happened(error)}") from error
+    def guarded(call: Callable[..., Any]) -> Any:
+        def called(*arguments: Array) -> Any:
+            try:
+                return call(*arguments)
+            except (Exception, SystemExit) as error:
+                raise ArgumentError(f"the policy {module}:{name} failed: {_what_happened(error)}") from error
 
-    return called
+        return called
+
+    function = guarded(policy)
+    if callable(method := getattr(policy, "forget", None)):
+        function.forget = guarded(method)
+    return function  # type: ignore[no-any-return]
 
 
 def _what_happened(error: BaseException) -> str:

@@ -197,7 +197,12 @@ class Network(nn.Module):
         self.encoder.see(obs)
 
     def features(self, obs: Tensor, position: Tensor | None = None) -> Tensor:
-        """Return the inputs of the output layer, shape ``(batch, width)``."""
+        """Return the inputs of the output layer, shape ``(batch, width)``; not of a network with memory."""
+        if self.memory is not None:
+            raise ArgumentError(
+                "the network has a memory, and one call does not say what is remembered: call unrolled(), or "
+                "the policy's choose()"
+            )
         features: Tensor = self._bent(self.hidden(self._first(obs, position)))
         return features
 

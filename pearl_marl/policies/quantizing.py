@@ -66,8 +66,24 @@ def quantized(
     """
     checked_integer("weight_bits", weight_bits, *BITS)
     checked_integer("activation_bits", activation_bits, *BITS)
+    check_quantizable(policy)
     if isinstance(policy, Table):
         return _of_table(policy)
+    network: Any = policy.network
+    made = _Quantizing(
+        policy, network, observations, (1 << weight_bits - 1) - 1, (1 << activation_bits - 1) - 1
+    )
+    return made.network()
+
+
+def check_quantizable(policy: NetworkPolicy | Table) -> None:
+    """Refuse a policy that :func:`quantized` cannot make one in integers of, whatever it meets."""
+    if isinstance(policy, Table):
+        if len(policy.values) != 1:
+            raise ArgumentError(
+                f"the policy has {len(policy.values)} tables, a learner each: take one of them"
+            )
+        return
     network: Any = policy.network
     if not isinstance(network, Network):
         raise ArgumentError(
@@ -80,16 +96,16 @@ def quantized(
         raise ArgumentError(
             "the policy's layers are standardised, for which integers have no layer: train it by ppo or dqn"
         )
-    made = _Quantizing(
-        policy, network, observations, (1 << weight_bits - 1) - 1, (1 << activation_bits - 1) - 1
-    )
-    return made.network()
+    greatest = int(bounds(policy.spec.observation_space)[1].max()) if network.encoder.kind == "picture" else 1
+    if greatest > 1:
+        raise ArgumentError(
+            f"observations of {policy.spec.name} are planes of numbers up to {greatest}, and only planes of "
+            "0 and 1 become inputs of a policy in integers"
+        )
 
 
 def _of_table(policy: Table) -> IntegerNetwork:
     """Return a table of action values as integers, in the order of the values."""
-    if len(policy.values) != 1:
-        raise ArgumentError(f"the policy has {len(policy.values)} tables, a learner each: take one of them")
     values = policy.values[0].numpy()
     ranks = np.stack([np.unique(row, return_inverse=True)[1] for row in values])
     return table_network(policy.spec, ranks)
@@ -194,12 +210,6 @@ class _Quantizing:
 
     def _patches(self) -> tuple[Patches, float]:
         """Return what pictures go through first, and the scale of what comes of it."""
-        greatest = int(bounds(self.spec.observation_space)[1].max())
-        if greatest > 1:
-            raise ArgumentError(
-                f"observations of {self.spec.name} are planes of numbers up to {greatest}, and only planes "
-                "of 0 and 1 become inputs of a policy in integers"
-            )
         convolution = self.float.encoder.convolution
         weights, bias = convolution.weight.numpy(), _numbers(convolution.bias)
         scale = self.most_weight / _greatest(weights)

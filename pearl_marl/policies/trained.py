@@ -28,7 +28,10 @@ KINDS = ("logits", "values", "mean")
 """How a network's outputs are meant: see :class:`NetworkPolicy`."""
 
 SECOND_THREAD = 1 << 17
-"""Rows times width from which on a second thread helps: threads that wait for each other take longer."""
+"""Elements of a layer's output, rows times width, from which on a second thread helps, except for pictures.
+
+Of fewer, threads that wait for each other take longer.
+"""
 
 _SCALAR = torch.zeros(())
 """Stands for a tensor that a file does not have."""
@@ -77,8 +80,8 @@ class _Trained(nn.Module):
 class Remembering:
     """A policy with memory as a function, which is called once for each step of all its agents.
 
-    Whoever steps them calls ``forget`` after each step with those whose episodes ended, and without any
-    argument before a reset: see :func:`pearl_marl.policies.loading.forget`.
+    ``forget`` is to be called after each step, with those whose episodes ended, and without an argument
+    before a reset: see :func:`pearl_marl.policies.loading.forget`.
     """
 
     def __init__(self, policy: NetworkPolicy) -> None:

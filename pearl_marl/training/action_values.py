@@ -28,7 +28,7 @@ class ActionValues(nn.Module):
     expected of an observation is the value of the best action.
     """
 
-    central = False
+    central, of_best = False, True
 
     def __init__(self, spec: EnvSpec, settings: Any) -> None:
         super().__init__()

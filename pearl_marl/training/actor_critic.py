@@ -25,7 +25,8 @@ class Inputs(NamedTuple):
     masks: Tensor | None = None  # where the environment has any
     position: Tensor | None = None  # of the agent in its world; where there are others
     state: Tensor | None = None  # of its world; for a central critic
-    # Of rollouts with memory: what the agent remembers before the step, and whether its episode begins there.
+    # Of rollouts with memory: what agents remember before the first step of each chunk, and where episodes
+    # begin.
     memory: Tensor | None = None
     begins: Tensor | None = None
 
@@ -60,6 +61,9 @@ class ActorCritic(nn.Module):
     memory
         See :class:`~pearl_marl.policies.trained.NetworkPolicy`. A critic that is not central remembers too.
     """
+
+    of_best = False
+    """Whether what is expected is of the best action that masks allow, and not of an observation."""
 
     @classmethod
     def of(cls, spec: EnvSpec, settings: Any, central: bool = False) -> Self:

@@ -85,7 +85,7 @@ class DQN(Trainer):
             )
         # Of every step in memory, and of every one in a minibatch: two observations, action, reward and end.
         rows = n * depth + settings.minibatch
-        check_memory(
+        self.need = check_memory(
             observed_spec(spec, device),
             settings,
             device,

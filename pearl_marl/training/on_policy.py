@@ -38,12 +38,17 @@ class OnPolicyTrainer(Trainer):
     max_grad_norm: float
 
     def __init__(self, spec: EnvSpec, device: Any, settings: Any, shards: int | None = None) -> None:
-        # Of every step at least an observation, and six numbers more.
-        rows = settings.n_agents * settings.rollout_length
-        names = "n_agents", "rollout_length"
-        check_memory(observed_spec(spec, device), settings, device, names, rows, 6 * 4 * rows)
         torch.manual_seed(settings.seed)
         self.model = self.made(spec, settings)
+        # Of every step at least an observation, and six numbers more; memories of every chunk.
+        rows = settings.n_agents * settings.rollout_length
+        others, names = 6 * 4 * rows, ["n_agents", "rollout_length"]
+        if self.model.policy.remembers:
+            others += 4 * self.model.memory_size * rows // settings.chunk_length
+            names += ["width", "chunk_length"]
+        self.need = check_memory(
+            observed_spec(spec, device), settings, device, names, rows, others, lasting=False
+        )
         self.worker: Any
         if shards is None:
             gathers = RecurrentWorker if self.model.policy.remembers else self.gathers

@@ -83,7 +83,7 @@ class QLearning(Trainer):
             )
         # Of every agent an observation and some ten numbers; of every entry of a table, one.
         others = n * 10 * 8 + learners * Table(spec).values.numel() * 4
-        check_memory(spec, settings, device, ("n_agents", "learners"), n, others)
+        self.need = check_memory(spec, settings, device, ("n_agents", "learners"), n, others)
         self.policy = Table(spec, learners)
         entries = len(spec.rewards or ())
         for name, array, shape in (("rates", rates, (learners,)), ("rewards", rewards, (learners, entries))):

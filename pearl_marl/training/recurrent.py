@@ -27,50 +27,54 @@ class RecurrentWorker(RolloutWorker):
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
         self.memory = torch.zeros(len(self.agents.obs), self.model.memory_size, device=self.where)
-        self._before: list[Tensor] = []
-        self._after: list[Tensor] = []
+        self._starts: list[Tensor] = []
         self._begins: list[Tensor] = []
+        self._ends: list[Tensor] = []
         self._expects: list[Tensor] = []
 
     def gather(self, rollout: int) -> RolloutBuffer:
         """Step all agents ``rollout_length`` times; return the rollout of that number, with memories."""
-        for noted in (self._before, self._after, self._begins, self._expects):
-            noted.clear()
-        gathered = super().gather(rollout)
-        inputs = gathered.inputs._replace(memory=torch.stack(self._before), begins=torch.stack(self._begins))
-        return gathered._replace(inputs=inputs)
+        try:
+            gathered = super().gather(rollout)
+            memories = {"memory": torch.stack(self._starts), "begins": torch.stack(self._begins[:-1])}
+            return gathered._replace(inputs=gathered.inputs._replace(**memories))
+        finally:
+            for noted in (self._starts, self._begins, self._ends, self._expects):
+                noted.clear()
 
-    def decide(self, inputs: Inputs, _: int) -> Tensor:
+    def decide(self, inputs: Inputs, t: int) -> Tensor:
         """Return the policy's outputs for the rollout's next step, which it remembers."""
-        begins = self.agents.begins
-        self.memory = self.memory.masked_fill(begins[:, None], 0)
-        outputs, values, after = self._step(inputs, self.memory)
-        for noted, tensor in (
-            (self._before, self.memory),
-            (self._begins, begins),
-            (self._expects, values),
-            (self._after, after),
-        ):
-            noted.append(tensor)
-        self.memory = after
+        self._empty()
+        if t % self.settings.chunk_length == 0:
+            self._starts.append(self.memory)
+        outputs, values, self.memory = self._step(inputs, self.memory)
+        self._expects.append(values)
         return outputs
 
     def expected(self, inputs: Inputs, decides: Tensor) -> Tensor:
         """Return what the critic expected before each step, and now."""
-        self.memory = self.memory.masked_fill(self.agents.begins[:, None], 0)
+        self._empty()
         _, values, _ = self._step(inputs.pick(-1), self.memory)
         return torch.stack([*self._expects, values]) * decides
 
     def expected_at_ends(self, inputs: Inputs, cut: Tensor) -> Tensor:
         """Return what the critic expects of where time limits cut episodes off."""
         values = torch.zeros(cut.shape, device=self.where)
-        memory = torch.stack(self._after)
+        ends, memories = torch.stack(self._begins[1:]), torch.cat(self._ends[1:])
+        numbers = ends.flatten().cumsum(0).view_as(ends) - 1
         for block in self.blocks:
             steps, columns = cut[:, block].nonzero(as_tuple=True)
             rows = steps, columns + block.start
             if len(steps):
-                _, values[rows], _ = self._unrolled(inputs.pick(rows), memory[rows])
+                _, values[rows], _ = self._unrolled(inputs.pick(rows), memories[numbers[rows]])
         return values
+
+    def _empty(self) -> None:
+        """Empty the memories of agents whose episodes begin; note which, and what these remembered."""
+        begins = self.agents.begins
+        self._begins.append(begins)
+        self._ends.append(self.memory[begins])
+        self.memory = self.memory.masked_fill(begins[:, None], 0)
 
     def _step(self, inputs: Inputs, memory: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return outputs, values and the memories after a step of all agents, block by block."""
@@ -85,11 +89,17 @@ class RecurrentWorker(RolloutWorker):
 
 
 def chunked(rollout: RolloutBuffer, length: int) -> RolloutBuffer:
-    """Return a rollout as chunks: a row for each of ``length`` steps, and a column for each chunk."""
+    """Return a rollout as chunks: a row for each of ``length`` steps, and a column for each chunk.
+
+    Of memories there is one row: what chunks begin with.
+    """
 
     def columns(tensor: Tensor) -> Tensor:
         steps, agents, *rest = tensor.shape
         chunks = tensor.reshape(steps // length, length, agents, *rest)
         return chunks.transpose(0, 1).flatten(1, 2)
 
-    return rollout.map(columns)
+    memory = rollout.inputs.memory
+    assert memory is not None
+    chunks = rollout._replace(inputs=rollout.inputs._replace(memory=None)).map(columns)
+    return chunks._replace(inputs=chunks.inputs._replace(memory=memory.flatten(0, 1)[None]))

@@ -37,8 +37,9 @@ class RolloutBuffer(NamedTuple):
     ended: Tensor  # which episodes ended
 
     def flat(self) -> RolloutBuffer:
-        """Return steps and agents as one axis."""
-        return self.map(lambda tensor: tensor.flatten(0, 1))
+        """Return steps and agents as one axis; without memories, which not every step has."""
+        steps = self._replace(inputs=self.inputs._replace(memory=None))
+        return steps.map(lambda tensor: tensor.flatten(0, 1))
 
     def pick(self, rows: Any) -> RolloutBuffer:
         """Return some rows."""
@@ -119,12 +120,13 @@ class RolloutWorker:
         values = self.expected(inputs, decides)
         cut = truncations & ~terminations
         # Only the time limit ended these episodes: what was to come counts. The device tells neither the
-        # state that a central critic would be given then, nor the agent that would have been on turn.
-        unknown = cut & (model.central or self.spec.turns)
+        # state that a central critic would be given then, nor the agent that would have been on turn, nor
+        # the masks, without which the best action may be one that is forbidden.
+        unmasked = model.of_best and inputs.masks is not None
+        unknown = cut & (model.central or self.spec.turns or unmasked)
         cut &= ~unknown
         unknown |= self.excluded() & decides[:-1]
         if cut.any():
-            # Nor does it tell the masks: all actions are allowed.
             final = inputs.pick(slice(0, -1))._replace(obs=final_obs, masks=None)
             wanted += settings.discount * self.expected_at_ends(final, cut)
         trajectories = Trajectories(wanted, values, over, decides, unknown)

@@ -201,8 +201,14 @@ class TrainingRun:
             "goal": training.goal,
             "evaluate_every": self.evaluate_every,
         }
-        self.folder = RunFolder(folder, about, SETTINGS[self.algorithm].successors())
+        kind = SETTINGS[self.algorithm]
+        self.folder = RunFolder(folder, about, kind.successors(), kind.defaults())
         self._began = self._kept = time.perf_counter()
+
+    @property
+    def seed(self) -> int:
+        """The seed of everything random."""
+        return int(self.trainer.settings.seed)
 
     @property
     def rows(self) -> list[dict[str, Any]]:
@@ -251,8 +257,7 @@ class TrainingRun:
     def keep(self) -> None:
         """Keep all that is needed to go on later, also between two evaluations."""
         self._checkpoint()
-        if self.rows:
-            self._draw_curve()
+        self._draw_curve()
 
     def _evaluate(self) -> dict[str, Any]:
         """Note the metrics, and keep the policy if it is the best so far."""
@@ -277,6 +282,8 @@ class TrainingRun:
         self._kept = time.perf_counter()
 
     def _draw_curve(self) -> None:
+        if not self.rows:
+            return
         title = f"{self.spec.name}: {self.algorithm}, {self.trainer.settings.n_agents:,} agents"
         self.folder.draw_curve(title, self.goal)
 

@@ -46,13 +46,19 @@ class RunFolder:
         What the run depends on, by name; JSON.
     successors
         Names of the algorithm's renamed settings, by those that an older run has for them.
+    defaults
+        Of the algorithm's settings: an older run has them where it does not know a setting.
     """
 
     def __init__(
-        self, path: Path, settings: dict[str, Any], successors: Mapping[str, str] | None = None
+        self,
+        path: Path,
+        settings: dict[str, Any],
+        successors: Mapping[str, str] | None = None,
+        defaults: Mapping[str, Any] | None = None,
     ) -> None:
         self.path = path
-        self._successors = successors or {}
+        self._successors, self._defaults = successors or {}, defaults or {}
         self.rows: list[dict[str, Any]] = []
         self._settings = json.loads(json.dumps(settings))
         self._board: SummaryWriter | None = None
@@ -83,7 +89,7 @@ class RunFolder:
 
     def _check(self, theirs: dict[str, Any], what_is: str) -> None:
         """Refuse settings that are not this run's."""
-        before, now = _flat(theirs, self._successors), _flat(self._settings, {})
+        before, now = _flat(theirs, self._successors, self._defaults), _flat(self._settings, {}, {})
         # Where nobody gives evaluate_every, it follows from the iterations.
         for name in sorted({**before, **now}, key="evaluate_every".__eq__):
             # As text: True is 1 in Python.
@@ -253,13 +259,16 @@ def _is_row(row: Any) -> bool:
     )
 
 
-def _flat(settings: dict[str, Any], successors: Mapping[str, str]) -> dict[str, Any]:
+def _flat(
+    settings: dict[str, Any], successors: Mapping[str, str], defaults: Mapping[str, Any]
+) -> dict[str, Any]:
     """Return a run's settings with those of its algorithm among them, by the names that they have now."""
     own = settings.get("settings")
     if not isinstance(own, dict):
         return settings
     return {
         **settings,
+        **defaults,
         **{successors.get(name, name): value for name, value in own.items()},
         "settings": None,
     }

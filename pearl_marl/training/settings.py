@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
@@ -84,6 +84,11 @@ class TrainerSettings:
         named = ((f.metadata["formerly"], f.name) for f in fields(cls))  # type: ignore[arg-type]
         return {old: new for old, new in named if old}
 
+    @classmethod
+    def defaults(cls) -> dict[str, Any]:
+        """Return the default of each setting."""
+        return {f.name: f.default for f in fields(cls)}  # type: ignore[arg-type]
+
     def __post_init__(self) -> None:
         for setting in fields(self):  # type: ignore[arg-type]
             value, possible = getattr(self, setting.name), self.range(setting.name)
@@ -117,10 +122,37 @@ class BlockSettings(TrainerSettings):
             )
 
 
+class MemoryNeed(NamedTuple):
+    """The memory that a run takes at least, and the settings that it grows with."""
+
+    size: int  # in bytes
+    what: str
+    on_gpu: bool
+    lasting: bool  # whether the run has it between iterations, too
+
+    def check(self, runs: int = 1) -> None:
+        """Refuse as many runs at a time as take more memory than there is."""
+        there, where = memory_of_machine(), "this machine"
+        if self.on_gpu:
+            there, where = torch.cuda.get_device_properties(0).total_memory, "the GPU"
+        if runs * self.size > there:
+            seeds = f", {runs} seeds at a time," if runs > 1 else ""
+            raise ArgumentError(
+                f"training on {self.what}{seeds} takes at least {runs * self.size / 2**30:,.1f} GiB of "
+                f"memory, and {where} has {there / 2**30:,.1f} GiB: make one of these settings smaller"
+            )
+
+
 def check_memory(
-    spec: EnvSpec, settings: Any, device: Any, names: tuple[str, ...], observations: int, others: int
-) -> None:
-    """Refuse a run that takes more memory than there is, before any is taken.
+    spec: EnvSpec,
+    settings: Any,
+    device: Any,
+    names: Sequence[str],
+    observations: int,
+    others: int,
+    lasting: bool = True,
+) -> MemoryNeed:
+    """Return what memory a run needs; refuse one that takes more than there is, before any is taken.
 
     Parameters
     ----------
@@ -130,19 +162,17 @@ def check_memory(
         The settings that the memory grows with.
     observations, others
         Observations that the run holds at least, and bytes of anything else.
+    lasting
+        Whether it holds them between iterations, too.
 
     Raises
     ------
     ArgumentError
         There is less.
     """
-    needed = observations * math.prod(spec.observation_shape) * spec.observation_dtype.itemsize + others
-    there, where = memory_of_machine(), "this machine"
-    if device == Cuda.name and torch.cuda.is_available():
-        there, where = torch.cuda.get_device_properties(0).total_memory, "the GPU"
-    if needed > there:
-        chosen = ", ".join(f"{name}={getattr(settings, name)}" for name in names)
-        raise ArgumentError(
-            f"training on {spec.name} with {chosen} takes at least {needed / 2**30:,.1f} GiB of memory, and "
-            f"{where} has {there / 2**30:,.1f} GiB: make one of these settings smaller"
-        )
+    size = observations * math.prod(spec.observation_shape) * spec.observation_dtype.itemsize + others
+    what = f"{spec.name} with {', '.join(f'{name}={getattr(settings, name)}' for name in names)}"
+    on_gpu = device == Cuda.name and torch.cuda.is_available()
+    need = MemoryNeed(size, what, on_gpu, lasting)
+    need.check()
+    return need

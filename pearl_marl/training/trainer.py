@@ -13,11 +13,10 @@ from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import masked
 from pearl_marl.policies.policy_file import check_weights
+from pearl_marl.policies.trained import SECOND_THREAD
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.restoring import copied, saved_bytes, whole
-
-SECOND_THREAD = 1 << 17
-"""Elements of a layer's output from which on a second thread pays, except for pictures."""
+from pearl_marl.training.settings import MemoryNeed
 
 
 @contextmanager
@@ -36,6 +35,10 @@ def threads_for(spec: EnvSpec, settings: Any) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
+
+
+class DivergedError(ArgumentError):
+    """A training whose losses are no numbers, which cannot go on."""
 
 
 class EpisodeReturns:
@@ -96,6 +99,7 @@ class Trainer:
     """
 
     policy: Any
+    need: MemoryNeed
 
     def __init__(self, settings: Any, agents: Any, where: torch.device) -> None:
         self.settings, self.agents, self.where = settings, agents, where
@@ -123,7 +127,7 @@ class Trainer:
     def check(self, losses: Tensor) -> None:
         """Refuse to go on from losses that are no numbers: the policy's outputs are none either, then."""
         if not torch.isfinite(losses).all():
-            raise ArgumentError(
+            raise DivergedError(
                 f"the training has diverged, as the loss of iteration {self.done + 1:,} is no number: make "
                 "the setting 'learning_rate' smaller, or bring rewards nearer to 1 with 'reward_scale'"
             )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -117,6 +118,32 @@ def test_functions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ):
         with pytest.raises(ArgumentError, match=says):
             load_policy(name, POLE)
+
+
+REMEMBERS = """
+import numpy as np
+class Policy:
+    notes = []
+    def __call__(self, observations):
+        return np.zeros(len(observations), int)
+    def forget(self, *ended):
+        self.notes.append([flags.tolist() for flags in ended])
+        if len(self.notes) > 10:
+            raise RuntimeError(str(self.notes))
+policy = Policy()
+"""
+
+
+def test_a_policy_that_remembers_is_told_what_ended(
+    tmp_path: Path, pearl: Callable[..., tuple[int, str, str]]
+) -> None:
+    path = tmp_path / "remembers.py"
+    path.write_text(REMEMBERS)
+    given = ("eval", "Catch", "--policy", f"{path}:policy", "--n-agents", 2, "--episodes", 4)
+    status, _, err = pearl(*given)
+    assert status == 2
+    calls = [[], *[[[False, False]]] * 8, [[True, True]], [[False, False]]]
+    assert f"{path}:policy failed: remembers.py, line 10: RuntimeError: {calls}" in err
 
 
 @pytest.mark.parametrize("name", ["greedy", "", ":f", "module:", "a:b c", "q_table.weights"])

@@ -12,6 +12,7 @@ import pytest
 import pearl_marl
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.errors import ArgumentError
+from pearl_marl.evaluation import Evaluation
 from pearl_marl.policies import integer_file
 from pearl_marl.policies.device_policy import Array, policy_draws
 from pearl_marl.policies.integer_network import IntegerNetwork, table_network
@@ -140,9 +141,39 @@ def test_what_cannot_be_quantised_is_refused() -> None:
     obs = reached("CartPole", 1)[0]
     with pytest.raises(ArgumentError, match="weight_bits is 3"):
         quantized(trained("CartPole", "logits"), obs, weight_bits=3)
-    apart = NetworkPolicy(pearl_marl.get_spec("LevelBasedForaging"), "logits", 8, sharing="none")
-    with pytest.raises(ArgumentError, match="a network of its own for each agent"):
-        quantized(apart, obs)
+    foraging = pearl_marl.get_spec("LevelBasedForaging")
+    for given, says in (
+        ({"sharing": "none"}, "a network of its own for each agent"),
+        ({"memory": "gru"}, "the policy has a memory"),
+        ({"layer_norm": True}, "the policy's layers are standardised"),
+    ):
+        with pytest.raises(ArgumentError, match=says):
+            quantized(NetworkPolicy(foraging, "logits", 8, **given), obs)
+
+
+def test_commands_refuse_before_they_evaluate_or_train(
+    tmp_path: Path, pearl: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Evaluation, "run", None)
+    policy = NetworkPolicy(pearl_marl.get_spec("CartPole"), "values", 8, layer_norm=True)
+    policy.save(tmp_path / "policy.safetensors")
+    status, _, err = pearl("quantize", str(tmp_path))
+    assert status == 2
+    assert "the policy's layers are standardised" in err
+    out = tmp_path / "out"
+    for line, says in (
+        ("CartPole --algo pqn --quantize", "--quantize: the policy's layers are standardised"),
+        ("CartPole --memory gru --quantize", "--quantize: the policy has a memory"),
+        # What an environment is learned by depends on --quantize, and an error says what it is.
+        ("MountainCar --quantize --set clip=0", "--set clip is 0; it must be"),
+        ("MountainCar --set clip=0.1", "pqn has no such setting; there are"),
+        ("MountainCar --set clip=0.1", "(without --algo, pqn learns MountainCar)"),
+        ("MountainCar --quantize --set q_lambda=1", "(without --algo, ppo learns MountainCar)"),
+    ):
+        status, _, err = pearl("train", *line.split(), "--out", str(out))
+        assert status == 2
+        assert says in err
+    assert not out.exists()
 
 
 @pytest.mark.parametrize("name", ["CartPole", "Taxi", "ConnectFour", "Pendulum"])

@@ -393,6 +393,36 @@ def test_a_checkpoint_of_another_run_is_refused(
     refused(other, says, **given)
 
 
+def test_a_run_from_before_a_setting_was_there_has_its_default(tmp_path: Path) -> None:
+    def begun(**given: Any) -> Any:
+        small = {"n_agents": 8, "rollout_length": 4, "iterations": 4, **given}
+        settings = training.settings_for("ppo", "FrozenLake", small)
+        return training.TrainingRun(training.Training("FrozenLake", "ppo", settings), tmp_path, evaluated=8)
+
+    first = begun(chunk_length=16)
+    with first.claimed():
+        first.iterate()
+        first.keep()
+    config, checkpoint = tmp_path / "config.json", tmp_path / "checkpoint.pt"
+    about, state = json.loads(config.read_text()), torch.load(checkpoint, weights_only=True)
+    kept = json.loads(state["settings"])
+    for settings in (about["settings"], kept):
+        for name in ("memory", "chunk_length"):
+            del settings["settings"][name]
+    config.write_text(json.dumps(about))
+    torch.save({**state, "settings": json.dumps(kept)}, checkpoint)
+    for given, says in (
+        ({"chunk_length": 8}, "a run with chunk_length 16, not 8"),
+        ({"chunk_length": 16, "seed": 1}, "a run with seed 0, not 1"),
+    ):
+        with pytest.raises(ArgumentError, match=says), begun(**given).claimed():
+            pass
+    again = begun(chunk_length=16)
+    with again.claimed():
+        assert again.done == 1
+        again.iterate()
+
+
 def repacked(content: bytes, how: int, replace: dict[str, bytes] | None = None) -> bytes:
     """Return an archive with its members compressed, and some of other content, and right checksums."""
     file = io.BytesIO()

@@ -15,7 +15,7 @@ import torch
 
 from pearl_marl import EnvSpec, get_spec
 from pearl_marl.errors import ArgumentError
-from pearl_marl.evaluation.matches import Match
+from pearl_marl.evaluation.matches import Match, cross_table
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies import trained
 from pearl_marl.policies.loading import load_policy, random_policy
@@ -107,25 +107,29 @@ def test_chunks_remember_what_the_rollout_did(algorithm: str, spec: EnvSpec) -> 
     """Episodes end within them, agents end before their world, and they take turns."""
     trainer = small(algorithm, spec)
     trainer.worker.gather(0)
+    step, due = trainer.worker._step, []
+
+    def noted(*given: Any) -> Any:
+        due.append(step(*given))
+        return due[-1]
+
+    trainer.worker._step = noted
     rollout = trainer.worker.gather(1)
     assert rollout.ended.any() or spec.name == "Seaquest"
     chunks = chunked(rollout, 6)
     with torch.no_grad():
         outputs, values, _ = trainer.model.unrolled(chunks.inputs)
-    inputs = rollout.inputs
-    step = 17  # in the middle of a chunk
-    one = inputs.pick(slice(step, step + 1))._replace(begins=None)
-    with torch.no_grad():
-        due, expects, _ = trainer.model.unrolled(one)
-    columns = slice(2 * 24, 3 * 24)  # of the third chunk
-    torch.testing.assert_close(outputs.reshape(6, 4 * 24, -1)[step - 12, columns], due)
-    torch.testing.assert_close(values.reshape(6, 4 * 24)[step - 12, columns], expects)
+    outputs, values = outputs.reshape(6, 4 * 24, -1), values.reshape(6, 4 * 24)
+    for t in range(24):
+        columns = slice(t // 6 * 24, (t // 6 + 1) * 24)
+        torch.testing.assert_close(outputs[t % 6, columns], due[t][0])
+        torch.testing.assert_close(values[t % 6, columns], due[t][1])
 
 
 @pytest.mark.parametrize("spec", [POSITIONS, MEADOW, LEA, NIM], ids=lambda spec: spec.name)
 def test_an_evaluation_remembers_what_a_rollout_does(spec: EnvSpec) -> None:
     """With equal actions, from the same reset."""
-    trainer = small("pqn", spec, epsilon=0.0, final_epsilon=0.0, seed=5)
+    trainer = small("pqn", spec, epsilon=0.0, final_epsilon=0.0, seed=5, chunk_length=1)
     rollout = trainer.worker.gather(0)
     remembered = []
 
@@ -152,8 +156,13 @@ def test_gradients_go_back_through_a_chunk_and_no_further() -> None:
     obs = chunks.inputs.obs.clone().requires_grad_()
     inputs = chunks.inputs._replace(obs=obs, begins=torch.zeros_like(chunks.inputs.begins))
     outputs, _, _ = trainer.model.unrolled(inputs)
-    outputs.reshape(6, 48, -1)[-1].sum().backward()
-    assert (obs.grad != 0).any(2).all()
+    second = range(24, 48)  # columns of each agent's second chunk
+    outputs.reshape(6, 48, -1)[-1, second].sum().backward()
+    assert (obs.grad[:, second] != 0).any(2).all()
+    assert not obs.grad[:, :24].any()
+    # What the second chunk begins with came of the first chunk's steps, and is a constant here.
+    assert inputs.memory[0, second].any()
+    assert not inputs.memory.requires_grad
 
 
 @pytest.mark.parametrize("algorithm", ["ppo", "pqn"])
@@ -193,10 +202,40 @@ def test_a_policys_file_remembers(tmp_path: Path) -> None:
     assert evaluate(again, MEADOW, 40) == evaluate(trainer.policy, MEADOW, 40)
 
 
+@pytest.fixture
+def players(tmp_path: Path) -> list[Any]:
+    """One policy with memory, loaded twice."""
+    trainer = small("pqn", MEADOW)
+    trainer.iterate()
+    trainer.policy.save(tmp_path / "policy.safetensors")
+    return [load_policy(str(tmp_path), MEADOW) for _ in range(2)]
+
+
+def test_a_policy_against_itself_remembers_each_step_once(players: list[Any]) -> None:
+    one, other = players
+    again = trained.Remembering(one._policy)
+    digests = []
+    for against in (other, one, again):
+        match = Match(MEADOW, one, against, 40, seed=3)
+        for _ in match.run():
+            pass
+        digests.append(match.digest)
+    assert len(set(digests)) == 1
+
+
+def test_a_match_forgets_what_the_last_one_left(players: list[Any]) -> None:
+    """A policy has one result against equal opponents."""
+    policies = {"one": players[0], "second": random_policy(MEADOW, 1), "third": random_policy(MEADOW, 1)}
+    first, second, _ = cross_table(MEADOW, policies, 40, seed=3)
+    assert first["digest"] == second["digest"]
+
+
 def test_what_cannot_remember_is_refused(tmp_path: Path) -> None:
     trainer = small("ppo", POSITIONS)
     with pytest.raises(ArgumentError, match="the policy has a memory, for which integers have no layer"):
         quantized(trainer.policy, np.zeros((1, 2), np.float32))
+    with pytest.raises(ArgumentError, match="the network has a memory, and one call does not say"):
+        trainer.policy(torch.zeros(1, 2))
     with pytest.raises(
         ArgumentError, match="'chunk_length' is 7; with a memory it must divide rollout_length, 24"
     ):

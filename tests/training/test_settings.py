@@ -202,6 +202,7 @@ def test_shards(pearl: Pearl, tmp_path: Path) -> None:
     ("algorithm", "given"),
     [
         ("ppo", {"rollout_length": 10**11}),
+        ("pqn", {"n_agents": 2**22, "memory": "gru", "width": 1024, "chunk_length": 1}),
         ("dqn", {"memory": 10**11}),
         ("dqn", {"minibatch": 10**12}),
         ("q-learning", {"n_agents": 2**31, "learners": 2**31}),
