@@ -230,7 +230,7 @@ PEERS = [timed("step_batch", 1e6), timed("kernel only", 2e9), timed("EnvPool, sy
 def test_the_readme_has_the_tables_of_the_commands() -> None:
     """Their columns, and the names of their rows; the figures are of another day."""
     training = pytest.importorskip("pearl_marl.benchmark.training", exc_type=ImportError)
-    one, every, trainings = measured_tables()
+    one, every, _, trainings = measured_tables()  # that of policy steps is put together from several commands
     for table, made in (
         (one, tables.steps_table(PEERS)),
         (every, tables.environments_table([("CliffWalking", PEERS)])),
@@ -239,7 +239,8 @@ def test_the_readme_has_the_tables_of_the_commands() -> None:
         assert table[:2] == [cells(line) for line in made.markdown().splitlines()[:2]]
     known = {c.name: c.counts for c in steps.contenders(get_spec("CliffWalking"), 8)}
     assert {row[0]: row[-1] for row in one[2:]}.items() <= known.items()
-    assert [row[0] for row in every[2:]] == names()
+    measured = [row[0] for row in every[2:]]
+    assert measured == [name for name in names() if name in measured]
     trainers = {trainer.name for trainer in training.TRAINERS}
     assert {row[0].rpartition(": ")[2] for row in trainings[2:]} <= trainers
 
