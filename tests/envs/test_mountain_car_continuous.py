@@ -105,7 +105,7 @@ def test_follows_the_oracle() -> None:
 
 @pytest.mark.slow
 def test_episodes_that_reach_the_goal() -> None:
-    """10,000 episodes of each, under a policy that gets there, by a copy of Gymnasium's equations in NumPy."""
+    """10,000 episodes of each, under a policy that gets there, by Gymnasium's equations in NumPy."""
     n, generator = 10_000, np.random.default_rng(12)
     x, v = generator.uniform(-0.6, -0.4, n), np.zeros(n)
     lengths, returns, running = np.zeros(n, int), np.zeros(n), np.ones(n, bool)
