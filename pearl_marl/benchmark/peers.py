@@ -390,7 +390,7 @@ def _compiled(jax: Any, reset: Any, step: Any, actions: Any, worlds: int) -> Ste
 
 
 def _worlds(jax: Any, reset: Any, step: Any, worlds: int) -> tuple[list[Any], Callable[[Any], None]]:
-    """Return the key and state of many worlds, and what steps them, by functions of one that take a key first."""
+    """Return key and state of many worlds, and what steps them, by functions of one that take a key first."""
     key, start = jax.random.split(jax.random.PRNGKey(0))
     _, state = jax.vmap(reset)(jax.random.split(start, worlds))
 
