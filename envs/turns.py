@@ -33,16 +33,16 @@ class BothPlayers(gymnasium.Env[Any, Any]):
         """Begin a game."""
         super().reset(seed=seed)
         self.game.reset(seed=seed)
-        return self._observed("observation"), {}
+        return self._view()["observation"], {}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Move; an illegal move loses the game, as in PettingZoo's own wrapper."""
         player = self.game.agent_selection
-        if not self._observed("action_mask")[action]:
-            return self._observed("observation"), -1.0, True, False, {}
+        if not self._view()["action_mask"][action]:
+            return self._view()["observation"], -1.0, True, False, {}
         self.game.step(int(action))
         reward, over = self.game.rewards[player], self.game.terminations[player]
-        return self._observed("observation"), reward, over, False, {}
+        return self._view()["observation"], reward, over, False, {}
 
     def render(self) -> Any:
         """Draw the board as PettingZoo does."""
@@ -52,8 +52,9 @@ class BothPlayers(gymnasium.Env[Any, Any]):
         """Close the window, if there is one."""
         self.game.close()
 
-    def _observed(self, what: str) -> Any:
-        return self.game.observe(self.game.agent_selection)[what]
+    def _view(self) -> Any:
+        """Return the observation and the mask of the player on turn."""
+        return self.game.observe(self.game.agent_selection)
 
 
 for name, module in GAMES.items():

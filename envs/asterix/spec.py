@@ -24,18 +24,18 @@ CHANNELS = 4
 PLAYER, ENEMY, TRAIL, GOLD = range(CHANNELS)
 
 
-def unpack(seen: View, row: Any) -> None:
+def unpack(view: View, row: Any) -> None:
     """Write one slot's observation, MinAtar's ``(10, 10, 4)`` of row, column and channel, into ``row``."""
     for k in range(SIDE * SIDE * CHANNELS):
         row[k] = 0
-    row[(SIDE * int(seen.y) + int(seen.x)) * CHANNELS + PLAYER] = 1
+    row[(SIDE * int(view.y) + int(view.x)) * CHANNELS + PLAYER] = 1
     for k in range(ROWS):
         bit = 1 << k
-        x = number(seen.entities.column, bit)
-        if seen.entities.alive & bit and x <= LAST:
+        x = number(view.entities.column, bit)
+        if view.entities.alive & bit and x <= LAST:
             first = SIDE * (k + 1)
-            row[(first + x) * CHANNELS + (GOLD if seen.entities.gold & bit else ENEMY)] = 1
-            behind = x - 1 if seen.entities.rightward & bit else x + 1
+            row[(first + x) * CHANNELS + (GOLD if view.entities.gold & bit else ENEMY)] = 1
+            behind = x - 1 if view.entities.rightward & bit else x + 1
             if 0 <= behind <= LAST:
                 row[(first + behind) * CHANNELS + TRAIL] = 1
 

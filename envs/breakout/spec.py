@@ -15,15 +15,15 @@ CHANNELS = 4
 PADDLE, BALL, TRAIL, BRICK = range(CHANNELS)
 
 
-def unpack(seen: View, row: Any) -> None:
+def unpack(view: View, row: Any) -> None:
     """Write one slot's observation, MinAtar's ``(10, 10, 4)`` of row, column and channel, into ``row``."""
     for k in range(SIDE * SIDE * CHANNELS):
         row[k] = 0
     for k in range(BRICKS):
-        row[(SIDE * TOP + k) * CHANNELS + BRICK] = int(seen.bricks) >> k & 1
-    row[(SIDE * (SIDE - 1) + int(seen.paddle)) * CHANNELS + PADDLE] = 1
-    row[(SIDE * int(seen.y) + int(seen.x)) * CHANNELS + BALL] = 1
-    row[(SIDE * int(seen.last_y) + int(seen.last_x)) * CHANNELS + TRAIL] = 1
+        row[(SIDE * TOP + k) * CHANNELS + BRICK] = int(view.bricks) >> k & 1
+    row[(SIDE * (SIDE - 1) + int(view.paddle)) * CHANNELS + PADDLE] = 1
+    row[(SIDE * int(view.y) + int(view.x)) * CHANNELS + BALL] = 1
+    row[(SIDE * int(view.last_y) + int(view.last_x)) * CHANNELS + TRAIL] = 1
 
 
 def minatar_attributes(state: State) -> dict[str, Any]:

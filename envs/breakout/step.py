@@ -36,7 +36,7 @@ class State(NamedTuple):
 
 
 class View(NamedTuple):
-    """What can be seen: where the ball is heading follows from where it was."""
+    """The paddle, the ball, where the ball was the step before (in a start, where it is), and the bricks."""
 
     paddle: Range[0, LAST]
     x: Range[0, LAST]
@@ -94,5 +94,5 @@ def make_step(sticky_action_prob: float, use_minimal_action_set: bool) -> Golden
 
 
 def observe(state: State) -> View:
-    """Return what can be seen."""
+    """Return what the agent observes."""
     return View(state.paddle, state.x, state.y, state.last_x, state.last_y, state.bricks)

@@ -29,19 +29,19 @@ def mark(row: Any, place: Place, channel: int) -> None:
         row[(line * SIZE + column) * CHANNELS + channel] = 1
 
 
-def unpack(seen: View, row: Any) -> None:
+def unpack(view: View, row: Any) -> None:
     """Write the package's ``(3, 3, 4)`` of row, column and what is there, into ``row``."""
     for k in range(CELLS * CHANNELS):
         row[k] = 0
-    mark(row, seen.own, 0)
-    mark(row, seen.other, 1)
-    mark(row, seen.own_coin, 2)
-    mark(row, seen.other_coin, 3)
+    mark(row, view.own, 0)
+    mark(row, view.other, 1)
+    mark(row, view.own_coin, 2)
+    mark(row, view.other_coin, 3)
 
 
-def unpack_around(seen: Around, row: Any) -> None:
+def unpack_around(view: Around, row: Any) -> None:
     """Do the same for who is in the middle of what he sees."""
-    unpack(View(Place(1, 1), seen.other, seen.own_coin, seen.other_coin), row)
+    unpack(View(Place(1, 1), view.other, view.own_coin, view.other_coin), row)
 
 
 def configure(

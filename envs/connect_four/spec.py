@@ -14,9 +14,9 @@ from pearl_marl.spec import EnvSpec, Field, Golden
 from .step import CELLS, COLUMNS, ROWS, State, View, initial, masks, observe, step
 
 
-def unpack(seen: View, row: Any) -> None:
+def unpack(view: View, row: Any) -> None:
     """Write PettingZoo's ``(6, 7, 2)`` of row, column and whose disc it is, into ``row``."""
-    interleave(seen.own, seen.other, CELLS, row)
+    interleave(view.own, view.other, CELLS, row)
 
 
 def pose(oracle: Env[Any, Any], state: State) -> None:

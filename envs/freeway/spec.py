@@ -14,13 +14,13 @@ CHANNELS = 7
 CHICKEN, CAR, SPEED_1 = range(3)
 
 
-def unpack(seen: View, row: Any) -> None:
+def unpack(view: View, row: Any) -> None:
     """Write one slot's observation, MinAtar's ``(10, 10, 7)`` of row, column and channel, into ``row``."""
     for k in range(SIDE * SIDE * CHANNELS):
         row[k] = 0
-    row[(SIDE * int(seen.y) + OWN_COLUMN) * CHANNELS + CHICKEN] = 1
+    row[(SIDE * int(view.y) + OWN_COLUMN) * CHANNELS + CHICKEN] = 1
     for k in range(LANES):
-        car = int(seen.cars[k])
+        car = int(view.cars[k])
         x, interval = car & 15, car >> 4 & 7
         # A word can hold what is no column and no speed, though no car has them.
         if x <= LAST and 1 <= interval <= SPEEDS:

@@ -33,12 +33,12 @@ def configure(memory_length: int = 5, num_bits: int = 1) -> EnvSpec:
     bits = checked_integer("num_bits", num_bits, 1, MOST_BITS)
     state_class, view_class = classes_of(length, bits)
 
-    def unpack(seen: Any, row: Any) -> None:
+    def unpack(view: Any, row: Any) -> None:
         """Write the time that is left, the question, and the context as -1 and 1; 0 for what is not shown."""
-        row[0] = 1 - seen.time / length
-        row[1] = seen.query
+        row[0] = 1 - view.time / length
+        row[1] = view.query
         for k in range(bits):
-            row[2 + k] = 2 * int(seen.context >> k & 1) - 1 if seen.visible else 0
+            row[2 + k] = 2 * int(view.context >> k & 1) - 1 if view.visible else 0
 
     def draw(state: Any) -> npt.NDArray[np.uint8]:
         """Draw the bits of the context, the one that is asked for, and below them the time."""

@@ -58,23 +58,23 @@ def make_unpack(kitchen: Kitchen) -> GoldenFunction:
             row[place + TOMATOES_IN_SOUP] = item >> 2
             row[place + DONE] = 1
 
-    def unpack(seen: Any, row: Any) -> None:
+    def unpack(view: Any, row: Any) -> None:
         for k in range(size):
             row[k] = empty[k]
-        place = floor[seen.own.cell]
+        place = floor[view.own.cell]
         row[place + OWN_PLACE] = 1
-        row[place + OWN_NORTH + int(seen.own.facing)] = 1
-        show_item(int(seen.own.holds), place, row)
-        place = floor[seen.other.cell]
+        row[place + OWN_NORTH + int(view.own.facing)] = 1
+        show_item(int(view.own.holds), place, row)
+        place = floor[view.other.cell]
         row[place + OTHER_PLACE] = 1
-        row[place + OTHER_NORTH + int(seen.other.facing)] = 1
-        show_item(int(seen.other.holds), place, row)
+        row[place + OTHER_NORTH + int(view.other.facing)] = 1
+        show_item(int(view.other.holds), place, row)
         for k in range(n_counters):
             item = 0
             for bit in range(n_planes):
-                item |= (int(seen.counters[bit]) >> k & 1) << bit
+                item |= (int(view.counters[bit]) >> k & 1) << bit
             show_item(item, counters[k], row)
-        left = int(seen.pots)
+        left = int(view.pots)
         for k in range(n_pots):
             place, soup, clock = pots[k], left & any_soup, left >> soup_bits & any_time
             left >>= soup_bits + time_bits
@@ -86,7 +86,7 @@ def make_unpack(kitchen: Kitchen) -> GoldenFunction:
             else:
                 row[place + ONIONS_IN_POT] = soup & 3
                 row[place + TOMATOES_IN_POT] = soup >> 2
-        if seen.urgent:
+        if view.urgent:
             for k in range(URGENT, size, COUNT):
                 row[k] = 1
 

@@ -37,28 +37,28 @@ def mark_trail(row: Any, x: int, y: int, rightward: int) -> None:
     mark(row, x - 1 if rightward else x + 1, y, TRAIL)
 
 
-def unpack(seen: View, row: Any) -> None:
+def unpack(view: View, row: Any) -> None:
     """Write one slot's observation, MinAtar's ``(10, 10, 10)`` of row, column and channel, into ``row``."""
     for k in range(SIDE * SIDE * CHANNELS):
         row[k] = 0
-    x, y = int(seen.x), int(seen.y)
+    x, y = int(view.x), int(view.y)
     mark(row, x, y, FRONT)
-    mark(row, x - 1 if seen.facing_right else x + 1, y, BACK)
-    for k in range(seen.oxygen_bar):
+    mark(row, x - 1 if view.facing_right else x + 1, y, BACK)
+    for k in range(view.oxygen_bar):
         mark(row, k, SIDE - 1, OXYGEN)
-    for k in range(seen.aboard):
+    for k in range(view.aboard):
         mark(row, SIDE - 2 - k, SIDE - 1, ABOARD)
-    for word in seen.bullets:
+    for word in view.bullets:
         bullet = int(word)
         if bullet >> 9:
             mark(row, bullet & 15, bullet >> 4 & 15, OWN_BULLET)
-    for word in seen.divers:
+    for word in view.divers:
         diver = int(word)
         if diver >> 8:
             x, y = diver & 15, (diver >> 4 & 7) + 1
             mark(row, x, y, DIVER)
             mark_trail(row, x, y, diver >> 7 & 1)
-    enemies, hostile = seen.enemies, seen.hostile
+    enemies, hostile = view.enemies, view.hostile
     left = int(enemies.alive)
     while left:
         bit = left & -left

@@ -27,21 +27,21 @@ CHANNELS = 6
 CANNON, ALIEN, TO_LEFT, TO_RIGHT, OWN_BULLET, HOSTILE_BULLET = range(CHANNELS)
 
 
-def unpack(seen: View, row: Any) -> None:
+def unpack(view: View, row: Any) -> None:
     """Write one slot's observation, MinAtar's ``(10, 10, 6)`` of row, column and channel, into ``row``."""
     for k in range(SIDE * SIDE * CHANNELS):
         row[k] = 0
-    row[(SIDE * LAST + int(seen.x)) * CHANNELS + CANNON] = 1
-    for bullet in seen.bullets:
+    row[(SIDE * LAST + int(view.x)) * CHANNELS + CANNON] = 1
+    for bullet in view.bullets:
         if bullet.flies:
             row[(SIDE * int(bullet.y) + int(bullet.x)) * CHANNELS + OWN_BULLET] = 1
-    if seen.bomb.flies:
-        row[(SIDE * int(seen.bomb.y) + int(seen.bomb.x)) * CHANNELS + HOSTILE_BULLET] = 1
-    heading = TO_LEFT if seen.aliens.leftward else TO_RIGHT
+    if view.bomb.flies:
+        row[(SIDE * int(view.bomb.y) + int(view.bomb.x)) * CHANNELS + HOSTILE_BULLET] = 1
+    heading = TO_LEFT if view.aliens.leftward else TO_RIGHT
     for k in range(ROWS):
-        y = int(seen.aliens.top) + k
+        y = int(view.aliens.top) + k
         y = y - SIDE if y > LAST else y
-        line = (int(seen.aliens.alive) >> COLUMNS * k & (1 << COLUMNS) - 1) << int(seen.aliens.left) >> MARGIN
+        line = (int(view.aliens.alive) >> COLUMNS * k & (1 << COLUMNS) - 1) << int(view.aliens.left) >> MARGIN
         for x in range(SIDE):
             row[(SIDE * y + x) * CHANNELS + ALIEN] = line >> x & 1
             row[(SIDE * y + x) * CHANNELS + heading] = line >> x & 1

@@ -47,24 +47,30 @@ PGX_GAMES = {
     "Asterix": "minatar-asterix",
     "Breakout": "minatar-breakout",
     "Freeway": "minatar-freeway",
+    "KuhnPoker": "kuhn_poker",
+    "LeducPoker": "leduc_holdem",
     "Seaquest": "minatar-seaquest",
     "SpaceInvaders": "minatar-space_invaders",
 }
-"""What pgx calls its forms of MinAtar's games."""
+"""What pgx calls these games, by our names."""
 
 ENVPOOL_AGENTS = {"RobotWarehouse": 4}
 """How many agents these have, where ours has another number."""
 
 GYMNAX: dict[str, tuple[str, tuple[str, ...], tuple[str, ...]]] = {
     "Acrobot": ("Acrobot-v1", (), ()),
+    "Asterix": ("Asterix-MinAtar", (), ()),
+    "Breakout": ("Breakout-MinAtar", (), ()),
     "CartPole": ("CartPole-v1", (), ()),
     "Catch": ("Catch-bsuite", ("rows", "columns"), ()),
     "DeepSea": ("DeepSea-bsuite", ("size",), ("unscaled_move_cost", "randomize_actions")),
+    "Freeway": ("Freeway-MinAtar", (), ()),
     "FrozenLake": ("FrozenLake-misc", (), ()),
     "MemoryChain": ("MemoryChain-bsuite", ("num_bits",), ("memory_length",)),
     "MountainCar": ("MountainCar-v0", (), ()),
     "MountainCarContinuous": ("MountainCarContinuous-v0", (), ("goal_velocity",)),
     "Seaquest": ("Seaquest-MinAtar", (), ()),
+    "SpaceInvaders": ("SpaceInvaders-MinAtar", (), ()),
 }
 """gymnax's names of environments, by ours; then which of our options it takes for one, and as parameters."""
 
@@ -92,7 +98,6 @@ def peers(spec: EnvSpec, n: int) -> list[Contender]:
             ("Gymnasium AsyncVectorEnv", f"{arrays}; a process a slot", asynchronous, processes),
             ("Gymnasium's own vectorisation", f"{arrays}; NumPy, one thread", n, own),
             ("MinAtar", "observations, rewards, ends; Python, one thread", sync, _minatar),
-            ("pgx", "all result arrays, default options; JAX, compiled, on all cores", n, _pgx),
         ]
     return [Contender(name, counts, count, partial(make, spec, count)) for name, counts, count, make in rows]
 
@@ -354,8 +359,38 @@ def _gymnax(spec: EnvSpec, count: int) -> Step:
     return _compiled(jax, reset, step, random_actions(spec, np.random.default_rng(0), count), count)
 
 
+def _pgx(spec: EnvSpec, count: int) -> Step | Game:
+    with installed("pgx"):
+        import jax
+        import pgx
+        from pgx.experimental.wrappers import auto_reset
+    game: Any = pgx.make(PGX_GAMES[spec.name])
+    advance, worlds, rng = auto_reset(game.step, game.init), count // spec.agents, np.random.default_rng(0)
+
+    def reset(key: Any) -> Any:
+        return None, game.init(key)
+
+    def step(key: Any, state: Any, action: Any) -> Any:
+        return None, advance(state, action, key)
+
+    if not spec.turns:
+        return _compiled(jax, reset, step, _actions(spec, count, np.int32), worlds)
+    last, advanced = _worlds(jax, reset, step, worlds)
+
+    def choose() -> npt.NDArray[Any]:
+        masks = np.asarray(last[1].legal_action_mask).view(np.int8)
+        return random_allowed(masks, rng.integers(1 << 32, size=worlds, dtype=np.uint32), np.int32)
+
+    return Game(choose, advanced)
+
+
 def _compiled(jax: Any, reset: Any, step: Any, actions: Any, worlds: int) -> Step:
-    """Return the compiled step of many worlds at once, by functions of one that take a key first."""
+    """Return the compiled step of many worlds at once, always by the same actions."""
+    return partial(_worlds(jax, reset, step, worlds)[1], actions)
+
+
+def _worlds(jax: Any, reset: Any, step: Any, worlds: int) -> tuple[list[Any], Callable[[Any], None]]:
+    """Return key and state of many worlds, and what steps them, by functions of one that take a key first."""
     key, start = jax.random.split(jax.random.PRNGKey(0))
     _, state = jax.vmap(reset)(jax.random.split(start, worlds))
 
@@ -365,11 +400,11 @@ def _compiled(jax: Any, reset: Any, step: Any, actions: Any, worlds: int) -> Ste
 
     compiled, last = jax.jit(advance), [key, state]
 
-    def advanced() -> None:
+    def advanced(actions: Any) -> None:
         last[0], results = compiled(*last, actions)
         last[1] = jax.block_until_ready(results)[1]
 
-    return advanced
+    return last, advanced
 
 
 def _bsuite(spec: EnvSpec, count: int) -> Step:
@@ -405,25 +440,34 @@ def _jumanji(spec: EnvSpec, count: int) -> Step:
 
 
 _OF_GYMNAX = ("gymnax", "all result arrays; JAX, compiled, on all cores", _gymnax)
+_OF_GYMNAX_DEFAULT = ("gymnax", "all result arrays, default options; JAX, compiled, on all cores", _gymnax)
+_OF_PGX = ("pgx", "all result arrays, default options; JAX, compiled, on all cores", _pgx)
 _OF_BSUITE = ("bsuite", "observations, rewards, ends; Python, one thread", _bsuite)
 _ONE_PLAYER = "observation, mask, reward, end of one player; no wrappers that check; Python, one thread"
 PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]] = {
-    "Acrobot": [_OF_GYMNAX],
+    "Acrobot": [_OF_GYMNAX_DEFAULT],
+    "Asterix": [_OF_GYMNAX_DEFAULT, _OF_PGX],
+    "Breakout": [_OF_GYMNAX_DEFAULT, _OF_PGX],
     "Catch": [_OF_GYMNAX, _OF_BSUITE],
     "CoinGame": [("jaxmarl", "all result arrays; JAX, compiled, on all cores", _coin_game)],
     "ConnectFour": [("PettingZoo connect_four_v3", _ONE_PLAYER, partial(_pettingzoo, module="connect_four"))],
-    "DeepSea": [_OF_GYMNAX, _OF_BSUITE],
+    "DeepSea": [_OF_GYMNAX_DEFAULT, _OF_BSUITE],
+    "Freeway": [_OF_GYMNAX_DEFAULT, _OF_PGX],
     "Game2048": [("jumanji", "all result arrays; JAX, compiled, on all cores", _jumanji)],
+    "KuhnPoker": [_OF_PGX],
+    "LeducPoker": [_OF_PGX],
     "LevelBasedForaging": [("lbforaging", "observations, rewards, ends; Python, one thread", _foraging)],
     "MemoryChain": [_OF_GYMNAX, _OF_BSUITE],
     "MountainCarContinuous": [_OF_GYMNAX],
     "Overcooked": [("overcooked-ai", "observations, rewards, ends; Python, one thread", _overcooked)],
+    "Seaquest": [_OF_GYMNAX_DEFAULT, _OF_PGX],
+    "SpaceInvaders": [_OF_GYMNAX_DEFAULT, _OF_PGX],
     "TicTacToe": [("PettingZoo tictactoe_v3", _ONE_PLAYER, partial(_pettingzoo, module="tictactoe"))],
     "RobotWarehouse": [("rware", "observations, rewards, ends; Python, one thread", _warehouse)],
 }
-"""The packages that our games follow, by our names of these: name, what is counted, and its step."""
+"""Packages that have our games, by our names of these: name, what is counted, and its step."""
 
-AT_ONCE = {"gymnax", "jaxmarl", "jumanji"}
+AT_ONCE = {"gymnax", "jaxmarl", "jumanji", "pgx"}
 """Packages that step all worlds at once. The others step one after the other, so a thousand are enough."""
 
 
@@ -472,30 +516,5 @@ def _minatar(spec: EnvSpec, count: int) -> Step:
             game.state()
             if ended:
                 game.reset()
-
-    return step
-
-
-def _pgx(spec: EnvSpec, count: int) -> Step:
-    name = PGX_GAMES.get(spec.name)
-    if name is None:
-        raise UnavailableError(f"pgx has no {spec.name}")
-    with installed("pgx"):
-        import jax
-        import pgx
-        from pgx.experimental.wrappers import auto_reset
-    game: Any = pgx.make(name)
-    actions, key = _actions(spec, count, np.int32), jax.random.PRNGKey(0)
-    key, start = jax.random.split(key)
-    last = [key, jax.jit(jax.vmap(game.init))(jax.random.split(start, count))]
-
-    def advance(key: Any, state: Any, actions: Any) -> Any:
-        key, now = jax.random.split(key)
-        return key, jax.vmap(auto_reset(game.step, game.init))(state, actions, jax.random.split(now, count))
-
-    compiled = jax.jit(advance)
-
-    def step() -> None:
-        last[:] = jax.block_until_ready(compiled(*last, actions))
 
     return step

@@ -368,7 +368,7 @@ class _Judge:
                 if due.dtype.kind == "f":
                     wrong &= ~np.isnan(due)
                 error = wrong.astype(np.float64)
-            wrong[known] = False
+            wrong[known], error[known] = False, 0.0
             errors[name] = error
             if wrong.any():
                 at = tuple(np.argwhere(wrong)[0].tolist())

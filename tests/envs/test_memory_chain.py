@@ -30,7 +30,7 @@ def test_play(games: int) -> None:
     check_play("MemoryChain, size", games, 20)
 
 
-@pytest.mark.parametrize("bits", [32, 40])
+@pytest.mark.parametrize("bits", [pytest.param(32, marks=pytest.mark.exhaustive), 40])
 def test_long_contexts(bits: int) -> None:
     """More bits than a draw has: each is as often 0 as 1, and the answer to each question is the bit."""
     n = 4000

@@ -58,6 +58,10 @@ OPTIONS: dict[str, list[dict[str, Any]]] = {
         {"fickle_passenger": True, "is_rainy": True},
     ],
     "Blackjack": [{}, {"sab": False, "natural": True}],
+    "Catch": [{"rows": 6, "columns": 12}],
+    "DeepSea": [{"size": 34}],
+    "MemoryChain": [{"num_bits": 40}],
+    "MountainCarContinuous": [{"goal_velocity": 0.01}],
 }
 
 WORLDS = [("Meadow", {}, elaboration.TARGET), ("Nim", {}, Target("ecp5", 150))]
@@ -67,6 +71,12 @@ FIELDS = [
     ("Relay", {}, Target("gowin", 40)),
 ]
 """Actions of several agents, and of several fields."""
+
+LARGE = [
+    ("Acrobot", {"book_or_nips": "nips"}, elaboration.TARGET),
+    ("Game2048", {"board_size": 3}, Target("ecp5", 150)),
+]
+"""Cores that take seconds to generate."""
 
 CASES = [(env, options) for env, all_options in OPTIONS.items() for options in all_options]
 
@@ -97,7 +107,14 @@ def assert_means(spec: EnvSpec, outputs: Iterable[Output], count: int) -> None:
             assert words[port] == due[port][i], f"{port} of {inputs}"
 
 
-@pytest.mark.parametrize(("env", "options"), [*CASES, *((name, {}) for name, *_ in WORLDS + FIELDS)])
+@pytest.mark.parametrize(
+    ("env", "options"),
+    [
+        *CASES,
+        *((name, {}) for name, *_ in WORLDS + FIELDS),
+        *(pytest.param(*case, marks=pytest.mark.exhaustive) for *case, _ in LARGE),
+    ],
+)
 def test_graphs_mean_the_golden_functions(env: str, options: dict[str, Any]) -> None:
     spec = spec_of(env, options)
     spec.check_golden(spec.functions)
@@ -197,6 +214,12 @@ def generated(rows: list[tuple[str, dict[str, Any], Target]], limit: int, folder
 @pytest.mark.parametrize("number", range(len(ENVIRONMENTS)), ids=[f"{e}-{t}" for e, _, t in ENVIRONMENTS])
 def test_cores_of_environments(number: int, once: Any) -> None:
     check("environments", partial(generated, ENVIRONMENTS, 700), number, once)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("number", range(len(LARGE)), ids=[f"{e}-{t}" for e, _, t in LARGE])
+def test_large_cores(number: int, once: Any) -> None:
+    check("large", partial(generated, LARGE, 700), number, once)
 
 
 @pytest.mark.parametrize("number", range(len(RANDOM)))
