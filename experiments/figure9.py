@@ -57,11 +57,14 @@ BUILDS = {
     "Taxi": (8, 32),
     "Blackjack": (4, 64),
     "Acrobot": (1, 256),
+    "Asterix": (2, 128),
+    "Breakout": (2, 128),
     "CartPole": (1, 128),
     "Catch": (8, 32),
     "CoinGame": (4, 32),
     "ConnectFour": (4, 128),
     "DeepSea": (8, 32),
+    "Freeway": (1, 128),
     "Game2048": (1, 128),
     "KuhnPoker": (4, 64),
     "LeducPoker": (2, 128),
@@ -73,6 +76,7 @@ BUILDS = {
     "Pendulum": (1, 128),
     "RobotWarehouse": (1, 256),
     "Seaquest": (1, 512),
+    "SpaceInvaders": (2, 128),
     "TicTacToe": (4, 128),
 }
 """Processing elements and bits of a word, which stay as they are while the slots grow. These are small
@@ -124,7 +128,7 @@ def draw(rows: list[Row]) -> Any:
     environments = list(dict.fromkeys(row["environment"] for row in rows if row["kind"] == "predicted"))
     colours = [Colour.BLUE, Colour.ORANGE, Colour.GREEN, Colour.RED]
     colours += [Colour.PINK, Colour.SKY, Colour.BLACK, "#777777"]
-    looks = list(itertools.product(("-", "--", ":"), colours))[: len(environments)]
+    looks = list(itertools.product(("-", "--", ":", "-."), colours))[: len(environments)]
     panels = list(grid.flat)
     keys = {"lut": "LUT", "ff": "flip-flops", "bram36": "BRAM36"}
     for axes, (key, label) in zip(panels[:3], keys.items(), strict=True):

@@ -73,11 +73,15 @@ class Grid(NamedTuple):
                 start, first, word = before, self.word_rows * (k + 1) + 1, free[k + 1]
         place, within = 0, rank - start
         # In the lower half of the word or in the upper one, and so on down to a bit.
-        for level, several in reversed(list(enumerate([word, *halves(word)[:-1]]))):
-            count = several >> place & min((2 << level) - 1, 127)
+        levels = [word, *halves(word)[:-1]]
+        while levels:
+            *rest, several = levels
+            half = 1 << len(rest)
+            count = several & min(2 * half - 1, 127)
             if within >= count:
-                place, within = place + (1 << level), within - count
-        return first + place // self.row_bits, place % self.row_bits
+                place, within, rest = place + half, within - count, [level >> half for level in rest]
+            levels = rest
+        return min(first + place // self.row_bits, self.size - 2), place % self.row_bits
 
 
 def count_of(word: Word) -> Word:
