@@ -28,9 +28,9 @@ from pearl_marl.errors import PearlError
 COMMANDS = {
     "envs": "List the environments: spaces, widths, rewards, limits.",
     "doctor": "Check what this machine can run; each problem comes with its fix.",
-    "warm": "Compile ahead, for images and clusters: "
-    "the kernels of some environments, or all and the trainers.",
-    "run": "Step every agent with random (or given) actions: throughput and episode statistics.",
+    "warm": "Compile ahead, for images and clusters: some environments, or all and the trainers.",
+    "run": "Step every agent with random (or given) actions, or a policy's: "
+    "throughput and episode statistics.",
     "train": "Train a policy that all agents share; with the --out of a run that was killed, resume it.",
     "quantize": "Make a policy in integers of a trained one, and measure the returns of both.",
     "eval": "Evaluate a policy on a device: returns, lengths, latency of every stage, and a digest.",
