@@ -384,9 +384,7 @@ def test_a_spec_that_pickle_cannot_write_is_refused(users: str) -> None:
 @pytest.mark.slow
 def test_another_process_goes_on(users: str) -> None:
     """As with multiprocessing's spawn, which knows nothing but the pickles."""
-    environments = [
-        parallel(name) for name in pearl_marl.list_envs() if name not in ("Pendulum", "ConnectFour")
-    ]
+    environments = [parallel(name) for name in KINDS if name not in ("Pendulum", "ConnectFour")]
     environments += [
         pearl_marl.parallel_env(f"{users}:{name}", 2, device="reference")
         for name in ("Configured", "Held", "Registered")
