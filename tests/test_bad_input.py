@@ -229,7 +229,7 @@ MAKE = [
         "'CliffWalkin'",
         "did you mean 'CliffWalking'",
     ),
-    refused("far from all", lambda f: f("Tetris", 2), ArgumentError, "'Tetris'", "CliffWalking"),
+    refused("far from all", lambda f: f("Quux", 2), ArgumentError, "'Quux'", "CliffWalking"),
     refused("no name", lambda f: f(7, 2), ArgumentError, "7"),
     refused("no agents", lambda f: f("CliffWalking", 0), ArgumentError, "agents is 0", "at least 1"),
     refused("negative", lambda f: f("CliffWalking", -4), ArgumentError, "agents is -4"),
