@@ -39,7 +39,9 @@ def without(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_pictures_without_their_library(name: str, mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for library in ("pygame", "minatar", "matplotlib", "PIL"):
         without(library, monkeypatch)
-    monkeypatch.delitem(sys.modules, "pearl_marl.envs.minatar_oracle", raising=False)
+    holding = "pearl_marl.envs.minatar_oracle", "pettingzoo.classic."  # have imported them perhaps
+    for module in [module for module in sys.modules if module.startswith(holding)]:
+        monkeypatch.delitem(sys.modules, module)
     with closing(pearl_marl.parallel_env(name, n_agents=2, render_mode=mode)) as env:
         draw = env.render if mode == "rgb_array" else env.reset
         if mode == "rgb_array":
@@ -94,7 +96,7 @@ def test_pictures_are_bytes(name: str) -> None:
     assert picture.dtype == np.uint8
     assert picture.shape[2:] == (3,)
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 1
-    assert picture.max() > 100
+    assert picture.max() > 50  # and not floats up to 1
 
 
 def test_floats_become_bytes() -> None:
