@@ -258,9 +258,10 @@ class Column:
         code, i32, size = self.code, ir.IntType(32), count * self.type.bitwidth // 8
         takes = ir.FunctionType(ir.VoidType(), [BYTES, i32, i32, i32])
         request = code.module.declare_intrinsic("llvm.prefetch", [BYTES], takes)
-        first = code.bitcast(self.at(index), BYTES)
+        # There may be no such words, behind the last ones: then the request does nothing.
+        first = code.bitcast(code.gep(self.at(0), [_number(index)], inbounds=False), BYTES)
         for byte in (*range(0, size, LINE), size - 1):
-            address = code.gep(first, [ir.IntType(64)(byte)])
+            address = code.gep(first, [ir.IntType(64)(byte)], inbounds=False)
             code.call(request, [address, i32(1), i32(3), i32(1)])  # to write, to keep, data
 
 
