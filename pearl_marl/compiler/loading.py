@@ -45,21 +45,24 @@ def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
     return module, path
 
 
-def compiled_loop(function: Callable[..., Any], *uses: types.ModuleType) -> Callable[[], Callable[..., Any]]:
+def compiled_loop(
+    function: Callable[..., Any], *uses: types.ModuleType, fused: bool = False
+) -> Callable[[], Callable[..., Any]]:
     """Return a function that returns a function of this package compiled; it is kept as kernels are kept.
 
-    It depends on its own module, and on those that it ``uses``, of which it calls functions.
+    It depends on its own module, and on those that it ``uses``, of which it calls functions. In a ``fused``
+    one, and in what it calls, a product and a sum may be rounded once; other devices round twice.
     """
 
     @functools.cache
     def made() -> Any:
         module = sys.modules[function.__module__]
         texts = [inspect.getsource(part) for part in (module, *uses)]
-        digest = hashlib.sha256(repr((texts, numba.__version__, np.__version__)).encode()).hexdigest()
+        digest = hashlib.sha256(repr((texts, fused, numba.__version__, np.__version__)).encode()).hexdigest()
         name = f"{module.__name__.rpartition('.')[2]}{function.__name__}_{digest[:16]}"
         known = {key: value for key, value in vars(module).items() if not key.startswith("__")}
         loaded, _ = load(name, inspect.getsource(function), **known)
-        jit = numba.njit(nogil=True, error_model="numpy", fastmath={"contract"})
+        jit = numba.njit(nogil=True, error_model="numpy", fastmath={"contract"} if fused else False)
         return kept_code(jit(getattr(loaded, function.__name__)), name)
 
     return made

@@ -384,7 +384,11 @@ class Device(ABC):
 
     def elements(self) -> Observed:
         """Return what policies in integers are shown now: observations of shape ``(n_agents, elements)``."""
-        return rollouts.look(self.config, self._read()[0])
+        return self._look(self.config.spec.in_elements)
+
+    def _look(self, form: EnvSpec) -> Observed:
+        """Return what agents are shown now, with observations as ``form`` has them, a row an agent."""
+        return rollouts.look(self.config, form, self._read()[0])
 
     def check_engine(self, policy: DevicePolicy, steps: int) -> None:  # noqa: B027, most have none
         """Refuse a rollout that a policy engine of the device does not take."""
@@ -409,7 +413,7 @@ class Device(ABC):
             steps,
             sums,
             kept,
-            self.elements,
+            self._look,
             lambda: (self.seed, self.tick),
             self._advance,
         )

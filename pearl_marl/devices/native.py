@@ -24,7 +24,7 @@ from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device, Phase
 from pearl_marl.devices.native_rollout import Batch, addresses_for, compiled_rollout
-from pearl_marl.devices.rollouts import Record, Sums, element_dtype, in_parts
+from pearl_marl.devices.rollouts import Record, Sums, element_dtype, in_parts, recorded_form
 from pearl_marl.devices.threads import ThreadCount, Threads, cores
 from pearl_marl.errors import ActionError
 from pearl_marl.golden import rng
@@ -196,17 +196,17 @@ class Native(Device):
     def _rollout(
         self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
     ) -> tuple[Rollout, Observed]:
-        if not isinstance(policy, IntegerNetwork):
-            return super()._rollout(policy, steps, record, episodes)
         config, spec = self.config, self.config.spec
         seen = spec.in_elements
+        if not isinstance(policy, IntegerNetwork) or (record and recorded_form(spec) is not seen):
+            return super()._rollout(policy, steps, record, episodes)
         kernels, network = compile_kernels(seen, self._elapsed.dtype), prepared(policy, element_dtype(seen))
         actions = np.dtype(spec.action_dtype)
         addresses = addresses_for(kernels, actions, self._arguments, self.reward_table, network)
         elapsed = self._elapsed.repeat(spec.agents)
         sums = Sums.of(elapsed, self.in_episode, self.resetting(), episodes)
         kept = Record.of(config, steps if record else 0, policy.logits)
-        in_bytes = kept._replace(elements=kept.elements.view(np.uint8))
+        in_bytes = kept._replace(observations=kept.observations.view(np.uint8))
         for done, some in in_parts(steps):
             self._run_rollout(addresses, network, sums, in_bytes.between(done, done + some), some)
         observed = self._reset(np.zeros(config.n_envs, np.bool_), None)

@@ -172,7 +172,7 @@ def _rollout(act, step, arguments, table, net, batch, sums, record, agents, step
             else:
                 _put(flat, actions.view(np.int64))
             if keep:
-                _copy(elements.reshape((n, row)), record.elements[t, first:last])
+                _copy(elements.reshape((n, row)), record.observations[t, first:last])
                 _copy(own, record.words[t, first:last])
                 _copy(logits[:n], record.logits[t, first:last])
                 if masked:

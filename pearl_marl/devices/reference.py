@@ -178,9 +178,8 @@ class Reference(Device):
             results.in_episode[...] = ~rows
         return results.observed
 
-    def elements(self) -> Observed:
-        """See :meth:`Device.elements`."""
-        obs = self._observe(self._memory.state, self.config.spec.in_elements)
+    def _look(self, form: EnvSpec) -> Observed:
+        obs = self._observe(self._memory.state, form)
         obs[self._memory.ended_early.ravel()] = 0
         return Observed(obs.reshape(len(obs), -1), self.action_masks, self.in_episode)
 

@@ -109,9 +109,9 @@ class Sums(NamedTuple):
 
 
 class Record(NamedTuple):
-    """Every step of a rollout, with the elements that observations are made of."""
+    """Every step of a rollout, with observations as :func:`recorded_form` has them."""
 
-    elements: Array  # (steps, n_agents, elements)
+    observations: Array  # (steps, n_agents, elements)
     masks: Array  # (steps, n_agents, n_actions) int8; of no agents without masks
     words: Array  # (steps, n_agents, fields) int64: actions
     rewards: Array  # (steps, n_agents) float32
@@ -123,10 +123,10 @@ class Record(NamedTuple):
     def of(cls, config: BatchConfig, steps: int, logits: int) -> Record:
         """Return room for so many steps."""
         spec, n = config.spec, config.n_agents
-        seen = spec.in_elements
+        form = recorded_form(spec)
         rows, masks = (steps, n), len(spec.mask_fields)
         return cls(
-            np.empty((*rows, seen.observation_size), element_dtype(seen)),
+            np.empty((*rows, form.observation_size), element_dtype(form)),
             np.empty((steps, n if masks else 0, masks), np.int8),
             np.empty((*rows, len(spec.action_fields)), np.int64),
             np.empty(rows, np.float32),
@@ -143,11 +143,12 @@ class Record(NamedTuple):
         """Return the steps as a :class:`Rollout` has them: as an environment takes and gives them."""
         spec = config.spec
         shape, dtype = (*self.rewards.shape, *spec.observation_shape), spec.observation_dtype
-        if spec.in_elements is spec:
-            observations = self.elements.view(dtype) if dtype == np.bool_ else self.elements
-        else:
-            scale = np.array([2.0**-field.fraction for field in spec.observation], dtype)
-            observations = self.elements.astype(dtype) * scale
+        observations = self.observations
+        if dtype == np.bool_:
+            observations = observations.view(dtype)
+        elif recorded_form(spec) is not spec:
+            scale = np.array([2.0**-bits for bits in spec.element_fractions], dtype)
+            observations = observations.astype(dtype) * scale
         return {
             "observations": observations.reshape(shape),
             "action_masks": self.masks if spec.mask_fields else None,
@@ -195,9 +196,14 @@ def check(config: BatchConfig, policy: object, steps: Any, record: object, episo
     checked_count_or_none("episodes", episodes)
     checked_flag("record", record)
     if record:
-        seen = spec.in_elements
+        seen = recorded_form(spec)
         each = 2 * seen.observation_size * element_dtype(seen).itemsize + len(spec.mask_fields)
         check_memory(config, int(steps) * (each + 16 * len(spec.action_fields) + 6 + 4 * policy.logits))
+
+
+def recorded_form(spec: EnvSpec) -> EnvSpec:
+    """Return the spec whose observations a rollout records: those in elements, unless rounding made them."""
+    return spec if spec.unpack is not None else spec.in_elements
 
 
 def element_dtype(seen: EnvSpec) -> np.dtype[Any]:
@@ -205,12 +211,12 @@ def element_dtype(seen: EnvSpec) -> np.dtype[Any]:
     return np.dtype(np.uint8) if seen.observation_dtype == np.bool_ else seen.observation_dtype
 
 
-def look(config: BatchConfig, memory: Array) -> Observed:
-    """Return what agents are shown in the states in some slots' memory, with elements as observations.
+def look(config: BatchConfig, spec: EnvSpec, memory: Array) -> Observed:
+    """Return what agents are shown in the states in some slots' memory, with observations as ``spec`` has them.
 
-    Observations have the shape ``(n_agents, elements)``.
+    They have the shape ``(n_agents, elements)``.
     """
-    spec, n = config.spec.in_elements, config.n_agents
+    n = config.n_agents
     obs = np.empty((n, *spec.observation_shape), element_dtype(spec))
     masks = np.zeros((n, len(spec.mask_fields)), np.int8)
     in_episode = np.ones(n, np.uint8)
@@ -227,25 +233,26 @@ def by_steps(
     steps: int,
     sums: Sums,
     record: Record | None,
-    see: Callable[[], Observed],
+    see: Callable[[EnvSpec], Observed],
     position: Callable[[], tuple[tuple[int, int], int]],
     step: Callable[[Array], BatchStep],
 ) -> Observed:
     """Act and step, so many times, and add to sums and record; return what is seen last.
 
-    ``see`` returns what agents are shown now, ``position`` seed and tick, and ``step`` does a step of all
-    slots with the words of actions.
+    ``see`` returns what agents are shown now, with observations as a spec has them; ``position`` returns seed
+    and tick, and ``step`` does a step of all slots with the words of actions.
     """
-    spec = config.spec
+    spec, recorded = config.spec, recorded_form(config.spec)
     room = room_for_words(spec, config.n_agents)
     for t in range(steps):
-        seen = see()
+        seen = see(spec.in_elements)
+        obs = seen.obs if recorded is spec.in_elements or record is None else see(recorded).obs
         choice = chosen(config, policy, seen, *position())
         room.reshape(choice.words.shape)[:] = choice.words
         result = step(room).on_host()
         sums.add(result, config.autoreset_mode is AutoresetMode.NEXT_STEP)
         if record is not None:
-            record.elements[t], record.words[t] = seen.obs, choice.words
+            record.observations[t], record.words[t] = obs, choice.words
             if seen.action_masks is not None:
                 record.masks[t] = seen.action_masks
             record.rewards[t], record.terminations[t] = result.rewards, result.terminations

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from pearl_marl.base.source_lines import source_line
 from pearl_marl.errors import ArgumentError
@@ -159,6 +162,48 @@ def unpack_of(view: type | None, function: GoldenFunction, words: Iterable[Field
     exec(f"def unpack({', '.join(names)}, row):\n    function({seen}, row)", scope)
     unpack: GoldenFunction = scope["unpack"]
     return unpack
+
+
+def in_fixed_point(unpack: GoldenFunction, floats: np.dtype[Any]) -> GoldenFunction:
+    """Return ``unpack`` for a row of integers as wide as the floats that it writes.
+
+    They are in units of ``2**-unpacked_fraction(floats)``, rounded to the nearest; what is beyond their range
+    becomes their least or greatest.
+    """
+    one = 2.0 ** unpacked_fraction(floats)
+    most = 2.0 ** (8 * floats.itemsize - 1) / one - 1
+
+    def made(function: GoldenFunction) -> GoldenFunction:
+        *given, row = inspect.signature(function).parameters
+        scope: dict[str, Any] = {
+            "function": function,
+            "floats_of": floats.type,
+            "floor": math.floor,
+            "one": one,
+            "most": most,
+            "__name__": unpack.__module__,
+        }
+        words = "".join(f"{name}, " for name in given)
+        # Floats are written in the row's own bytes, each of which its integer then takes.
+        lines = (
+            f"def unpack({words}{row}):",
+            f"    floats = {row}.view(floats_of)",
+            f"    function({words}floats)",
+            f"    for k in range(len({row})):",
+            f"        {row}[k] = floor(min(max(floats[k], -most), most) * one + 0.5)",
+        )
+        exec("\n".join(lines), scope)
+        result: GoldenFunction = scope["unpack"]
+        return result
+
+    result = made(unpack)
+    result.plain = made(getattr(unpack, "plain", unpack))  # type: ignore[attr-defined]
+    return result
+
+
+def unpacked_fraction(floats: np.dtype[Any]) -> int:
+    """Return how many bits behind the binary point floats have that :func:`in_fixed_point` makes integers."""
+    return min(16, 4 * floats.itemsize)
 
 
 def plain_unpack_of(view: type | None, function: GoldenFunction) -> GoldenFunction:

@@ -459,5 +459,5 @@ def _backward(layers: Layers, observed: Observed, by_outputs: Array, gradients: 
     store_gradients(total, gradients)
 
 
-forward: Callable[[], Callable[[Layers, Observed, Array], None]] = compiled_loop(_forward)
-backward: Callable[[], Callable[[Layers, Observed, Array, Layers], None]] = compiled_loop(_backward)
+forward: Callable[[], Callable[[Layers, Observed, Array], None]] = compiled_loop(_forward, fused=True)
+backward: Callable[[], Callable[[Layers, Observed, Array, Layers], None]] = compiled_loop(_backward, fused=True)

@@ -194,9 +194,7 @@ class _Quantizing:
         Elements that are small integers are no nearer to their mean than to an integer beside it.
         """
         mean, factor = (tensor.double().numpy() for tensor in self.float.encoder.statistics())
-        fractions = np.array([field.fraction for field in self.spec.observation], np.float64)
-        if self.spec.unpack is not None:
-            fractions = np.zeros(len(mean))
+        fractions = np.array(self.spec.element_fractions, np.float64)
         per_element = factor * 2.0**-fractions * INPUT_STEPS
         shift = np.clip(MULTIPLIER_BITS - 1 - np.floor(np.log2(per_element)), 0, 62).astype(np.int64)
         multiplier = np.minimum(np.rint(per_element * 2.0**shift), (1 << 31) - 1).astype(np.int64)

@@ -31,10 +31,12 @@ from pearl_marl.layout.fields import word_bits as word_bits
 from pearl_marl.layout.positional import (
     Positional,
     initial_of,
+    in_fixed_point,
     plain_unpack_of,
     step_of,
     takes_agent,
     unpack_of,
+    unpacked_fraction,
     view_of,
 )
 from pearl_marl.spec.elements import ActionSpace, action_counts, are_numbers, bounds
@@ -500,18 +502,35 @@ class EnvSpec:
     def in_elements(self) -> EnvSpec:
         """The same environment with the elements of its observations as observations: integers.
 
-        Those of a ``Box`` of floats are its fixed-point words. It is the same spec where they are integers
-        already.
+        Those of a ``Box`` of floats are its fixed-point words or, where ``unpack`` writes floats, those
+        rounded to :attr:`element_fractions`. It is the same spec where they are integers already.
         """
         if self.observation_dtype.kind in "biu":
             return self
+        if self.unpack is not None:
+            dtype = np.dtype(f"i{self.observation_dtype.itemsize}")
+            unpack = in_fixed_point(self.unpack, self.observation_dtype)
+            space = Box(np.iinfo(dtype).min, np.iinfo(dtype).max, self.observation_shape, dtype)
+            return self._observing(space, unpack=unpack)
         words = tuple(replace(word, fraction=0) for word in self.observation)
-        dtype = np.int64 if any(word.bits + (not word.signed) > 32 for word in words) else np.int32
+        dtype = np.dtype(np.int64 if any(word.bits + (not word.signed) > 32 for word in words) else np.int32)
         low, high = np.array([word.range for word in words], np.int64).T
-        space = Box(low.astype(dtype), high.astype(dtype), (len(words),), dtype)
+        return self._observing(
+            Box(low.astype(dtype), high.astype(dtype), (len(words),), dtype), observation=words
+        )
+
+    def _observing(self, space: Box, **changes: Any) -> EnvSpec:
+        """Return the same environment with another observation space."""
         roles = tuple(role._replace(observation_space=space) for role in self.roles)
-        golden = self.golden._replace(view=None)
-        return replace(self, golden=golden, observation=words, observation_space=space, roles=roles)
+        return replace(self, observation_space=space, roles=roles, **changes)
+
+    @property
+    def element_fractions(self) -> tuple[int, ...]:
+        """How many bits of each element (:attr:`in_elements`) are behind the binary point."""
+        if self.unpack is None:
+            return tuple(word.fraction for word in self.observation)
+        floats = self.observation_dtype
+        return self.observation_size * (unpacked_fraction(floats) if floats.kind == "f" else 0,)
 
     @cached_property
     def functions(self) -> tuple[GoldenFunction, ...]:

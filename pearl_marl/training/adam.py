@@ -51,7 +51,7 @@ def _adam(
         values[i] -= rate_32 * mean[i] / (np.sqrt(square[i] * per_correction) + epsilon_32)
 
 
-move_all = compiled_loop(_adam)
+move_all = compiled_loop(_adam, fused=True)
 
 
 class Adam:

@@ -93,4 +93,4 @@ def _gradients(
     return loss
 
 
-gradients_of = compiled_loop(_gradients, dense)
+gradients_of = compiled_loop(_gradients, dense, fused=True)

@@ -218,8 +218,8 @@ def _gradients(
         figures[k] *= share
 
 
-_loss_of = compiled_loop(_loss)
-_gradients_of = compiled_loop(_gradients, dense)
+_loss_of = compiled_loop(_loss, fused=True)
+_gradients_of = compiled_loop(_gradients, dense, fused=True)
 
 
 def fits(model: ActorCritic) -> bool:

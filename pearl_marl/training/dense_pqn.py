@@ -62,7 +62,7 @@ def _gradients(
     return loss * share
 
 
-_gradients_of = compiled_loop(_gradients, dense)
+_gradients_of = compiled_loop(_gradients, dense, fused=True)
 
 
 class CompiledGradients:

@@ -90,7 +90,7 @@ def test_tensors_hold_what_arrays_hold(name: str, copy: bool, mode: AutoresetMod
     np.testing.assert_array_equal(device.recv().obs.cpu(), native.step(actions).obs)
 
 
-ROLLED = sampled(pearl_marl.list_envs(), ("CartPole", "CliffWalking", "ConnectFour"))
+ROLLED = sampled(pearl_marl.list_envs(), ("CartPole", "CliffWalking", "ConnectFour", "DeepSea"))
 
 
 @pytest.mark.parametrize("results", ["numpy", "torch"])
