@@ -370,7 +370,7 @@ def test_a_new_world_passes_the_contract_and_types_are_right(installed: Installe
     assert status == 0, out
     world = copy(installed)
     world.project = folder / "two_halls"
-    status, out = world.pytest("-k", "not rtl")  # docs/new_environment.md has all of it
+    status, out = world.pytest("-k", "native")  # docs/new_environment.md has all of it
     assert status == 0, out
     # The types of both packages at once: what they import takes most of the time.
     command = ["python", "-m", "mypy", "--cache-dir", str(ROOT / ".mypy_cache"), ".", str(world.project)]

@@ -90,14 +90,14 @@ def check(folder: Path, name: str, page: Page) -> dict[str, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "but", [("trainings", "worlds"), pytest.param((), marks=pytest.mark.exhaustive)], ids=["most", "all"]
+    "but", [("trainings", "worlds", "figure7", "figure9", "population"), pytest.param((), marks=pytest.mark.exhaustive)], ids=["most", "all"]
 )
 def test_quick(
     tmp_path: Path, recwarn: pytest.WarningsRecorder, monkeypatch: pytest.MonkeyPatch, but: tuple[str, ...]
 ) -> None:
     """Every section has its files, and the page their numbers."""
-    # Each training is a process of its own; the benchmark's tests have those,
-    # and the trainers' tests learn in worlds.
+    # Each training is a process of its own; the benchmark's tests have those, and the trainers' tests learn in
+    # worlds. Nor are cores synthesised: the commands of docs/synthesis.md do that.
     monkeypatch.setattr(report, "SECTIONS", [name for name in report.SECTIONS if name not in but])
     if but:  # two of the games that are learned in seconds do as well as four
         few = [goal for goal in goals.goals() if goal.env_id in ("CliffWalking", "Blackjack")]
@@ -132,7 +132,6 @@ def test_quick(
     assert kinds[figure6.BOARD_SERIAL] == "predicted"
     assert kinds["the paper: EnvPool"] == "quoted"
     assert all(row["over_no_pipeline"] > 1 for row in rows["figure6"] if row["contender"] == figure6.BOARD)
-    assert {row["kind"] for row in rows["figure9"]} == {"predicted", "quoted"}
     cycles = {
         (row["what"], row["kind"]): row["cycles"] for row in rows["equations"] if row.get("pe_num") == 4
     }
@@ -147,6 +146,9 @@ def test_quick(
     (blackjack,) = select(rows["goals"], environment="Blackjack")
     optimum = blackjack["wanted"] + 0.02
     assert abs(blackjack["mean_return"] - optimum) < 3 * blackjack["ci95"], "nobody beats the optimal policy"
+    if but:
+        return
+    assert {row["kind"] for row in rows["figure9"]} == {"predicted", "quoted"}
     summaries = {row["contender"]: row for row in rows["figure7"] if row.get("what") == "median of 1"}
     assert summaries[figure7.BATCHED]["reached"]
     assert all(summaries[name]["common_seconds"] > 0 for name in figure7.SOURCES)

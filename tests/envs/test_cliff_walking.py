@@ -149,7 +149,7 @@ def test_vector_env_equals_gymnasiums(mode: AutoresetMode, limit: int | None) ->
     [
         # Random, but twice as fond of RIGHT: a tenth of the steps to the goal.
         pytest.param([0, 1, 1, 2, 3], 20_000, id="fond of right"),
-        pytest.param([0, 1, 2, 3], 6_000, id="uniform", marks=pytest.mark.slow),
+        pytest.param([0, 1, 2, 3], 6_000, id="uniform", marks=pytest.mark.exhaustive),
     ],
 )
 def test_episodes_of_a_random_policy(choices: list[int], n: int) -> None:
