@@ -187,7 +187,7 @@ def test_those_of_known_environments_stay() -> None:
     assert KNOWN.keys() >= set(names()) - {"Meadow", "Nim"}
 
 
-@pytest.mark.parametrize("seed", ["0", "12345"])
+@pytest.mark.parametrize("seed", ["0", pytest.param("12345", marks=pytest.mark.exhaustive)])
 def test_they_are_the_same_in_every_process(seed: str) -> None:
     program = "from tests.test_behaviour import behaviours; print(sorted(behaviours().items()))"
     done = subprocess.run(

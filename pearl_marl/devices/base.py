@@ -42,6 +42,7 @@ from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError, OrderError, renamed
 from pearl_marl.golden import rng
 from pearl_marl.policies.device_policy import DevicePolicy
+from pearl_marl.spec import EnvSpec
 
 CACHE_BYTES = 1 << 18
 """Results of which two sets may be in use in turns, and still be in a core's second cache."""

@@ -212,9 +212,9 @@ def element_dtype(seen: EnvSpec) -> np.dtype[Any]:
 
 
 def look(config: BatchConfig, spec: EnvSpec, memory: Array) -> Observed:
-    """Return what agents are shown in the states in some slots' memory, with observations as ``spec`` has them.
+    """Return what agents are shown in the states in some slots' memory.
 
-    They have the shape ``(n_agents, elements)``.
+    Observations are as ``spec`` has them, and have the shape ``(n_agents, elements)``.
     """
     n = config.n_agents
     obs = np.empty((n, *spec.observation_shape), element_dtype(spec))

@@ -460,4 +460,6 @@ def _backward(layers: Layers, observed: Observed, by_outputs: Array, gradients: 
 
 
 forward: Callable[[], Callable[[Layers, Observed, Array], None]] = compiled_loop(_forward, fused=True)
-backward: Callable[[], Callable[[Layers, Observed, Array, Layers], None]] = compiled_loop(_backward, fused=True)
+backward: Callable[[], Callable[[Layers, Observed, Array, Layers], None]] = compiled_loop(
+    _backward, fused=True
+)

@@ -30,8 +30,8 @@ from pearl_marl.layout.fields import Field as Field
 from pearl_marl.layout.fields import word_bits as word_bits
 from pearl_marl.layout.positional import (
     Positional,
-    initial_of,
     in_fixed_point,
+    initial_of,
     plain_unpack_of,
     step_of,
     takes_agent,

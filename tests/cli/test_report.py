@@ -90,14 +90,19 @@ def check(folder: Path, name: str, page: Page) -> dict[str, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "but", [("trainings", "worlds", "figure7", "figure9", "population"), pytest.param((), marks=pytest.mark.exhaustive)], ids=["most", "all"]
+    "but",
+    [
+        ("trainings", "worlds", "figure7", "figure9", "population"),
+        pytest.param((), marks=pytest.mark.exhaustive),
+    ],
+    ids=["most", "all"],
 )
 def test_quick(
     tmp_path: Path, recwarn: pytest.WarningsRecorder, monkeypatch: pytest.MonkeyPatch, but: tuple[str, ...]
 ) -> None:
     """Every section has its files, and the page their numbers."""
-    # Each training is a process of its own; the benchmark's tests have those, and the trainers' tests learn in
-    # worlds. Nor are cores synthesised: the commands of docs/synthesis.md do that.
+    # Each training is a process of its own; the benchmark's tests have those, and the trainers' tests learn
+    # in worlds. Nor are cores synthesised: the commands of docs/synthesis.md do that.
     monkeypatch.setattr(report, "SECTIONS", [name for name in report.SECTIONS if name not in but])
     if but:  # two of the games that are learned in seconds do as well as four
         few = [goal for goal in goals.goals() if goal.env_id in ("CliffWalking", "Blackjack")]

@@ -96,7 +96,13 @@ def test_walks_lead_to_the_end(page, tmp_path):
         assert formatted == core.read_text()
 
 
-REPEATED = "BenchMARL", "Stable-Baselines3: DQN", "Stable-Baselines3: players of one world"
+REPEATED = (
+    "BenchMARL",
+    "Stable-Baselines3: DQN",
+    "Stable-Baselines3: PPO",
+    "Stable-Baselines3: players of one world",
+    "TorchRL",
+)
 """Scripts that learn what the tests of those bridges do; `make test-exhaustive` has them, too."""
 
 

@@ -18,7 +18,7 @@ def test_environments_with_planes_are_there() -> None:
 
 
 @pytest.mark.parametrize("device", ["native", "reference", "rtl"])
-@pytest.mark.parametrize("name", ["ConnectFour", "Seaquest"])
+@pytest.mark.parametrize("name", ["ConnectFour", pytest.param("Seaquest", marks=pytest.mark.exhaustive)])
 def test_they_say_what_the_planes_say(name: str, device: str) -> None:
     spec, n, rng = pearl_marl.get_spec(name), 40, np.random.default_rng(0)
     whole = pearl_marl.parallel_env(name, n)

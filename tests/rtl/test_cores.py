@@ -31,6 +31,7 @@ from pearl_marl.golden.tracing.nodes import values
 from pearl_marl.hardware import elaboration
 from pearl_marl.layout import Array, Range
 from pearl_marl.spec import EnvSpec, Golden
+from tests import sampling
 
 TARGETS = [Target(name, mhz) for name in FAMILIES for mhz in (40, 150, 300)]
 
@@ -213,7 +214,7 @@ def generated(rows: list[tuple[str, dict[str, Any], Target]], limit: int, folder
 
 @pytest.mark.parametrize("number", range(len(ENVIRONMENTS)), ids=[f"{e}-{t}" for e, _, t in ENVIRONMENTS])
 def test_cores_of_environments(number: int, once: Any) -> None:
-    check("environments", partial(generated, ENVIRONMENTS, 700), number, once)
+    check("environments", partial(generated, ENVIRONMENTS, 700 if sampling.exhaustive else 250), number, once)
 
 
 @pytest.mark.exhaustive
@@ -224,7 +225,7 @@ def test_large_cores(number: int, once: Any) -> None:
 
 @pytest.mark.parametrize("number", range(len(RANDOM)))
 def test_cores_of_random_golden_functions(number: int, once: Any) -> None:
-    check("random", partial(generated, RANDOM, 400), number, once)
+    check("random", partial(generated, RANDOM, 400 if sampling.exhaustive else 150), number, once)
 
 
 OWN = [{}, {"noise": 0xA6}]

@@ -72,6 +72,7 @@ def test_shards_of_any_size_go_on_with_what_a_process_began(alone: Any) -> None:
     assert second.figures() == alone[1]
 
 
+@pytest.mark.exhaustive  # other tests lose shards, and tests/training/test_memory.py has the memories
 def test_memories_travel_with_the_agents() -> None:
     """Two shards, one of which is lost between rollouts."""
     remembering = {"memory": "gru", "chunk_length": 10, "width": 8}
