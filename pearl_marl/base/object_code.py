@@ -26,7 +26,7 @@ _objects: dict[str, bytes] = {}
 """The object code of each symbol that code of this process can call."""
 
 
-def compiled(text: str, name: str, passes: bool = True, effort: int = 3) -> str:
+def compiled(text: str, name: str, passes: int = 3, effort: int = 3) -> str:
     """Compile the function of that name in LLVM's text of a module; return the symbol to call it by.
 
     Parameters
@@ -34,7 +34,7 @@ def compiled(text: str, name: str, passes: bool = True, effort: int = 3) -> str:
     text, name
         The module, and the name of its function.
     passes
-        Whether LLVM's passes go over it, which turn loops into SIMD code.
+        How many of LLVM's passes go over it, 0 to 3. Level 1 turns loops into SIMD code already.
     effort
         How well instructions are selected and registers used, 0 to 3.
     """
@@ -45,10 +45,16 @@ def compiled(text: str, name: str, passes: bool = True, effort: int = 3) -> str:
         machine = _machine(effort)
         module.data_layout = str(machine.target_data)
         if passes:
-            tuning = llvm.create_pipeline_tuning_options(speed_level=3)
+            tuning = llvm.create_pipeline_tuning_options(speed_level=passes)
             tuning.loop_vectorization = True
             builder = llvm.create_pass_builder(machine, tuning)
-            builder.getModulePassManager().run(module, builder)
+            # What is left of a loop after so many turns at once is done turn by turn: functions with loops of
+            # many turns are called, and code for fewer turns at once would take as long again to compile.
+            llvm.set_option("pearl_marl", "-enable-epilogue-vectorization=false")
+            try:
+                builder.getModulePassManager().run(module, builder)
+            finally:
+                llvm.set_option("pearl_marl", "-enable-epilogue-vectorization=true")
         add({symbol: machine.emit_object(module)})
     return symbol
 

@@ -23,6 +23,7 @@ lanes.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
@@ -607,10 +608,10 @@ class KernelLoops:
                 reward = code.choose(types.float32, f.codes[i].equals(k), known[k], reward)
             f.rewards[i] = reward
 
-    def _call(self, code: Code, name: str, words: Iterable[Value]) -> Sequence[Value]:
-        """Return what a golden function returns."""
+    def _call(self, code: Code, name: str, words: Iterable[Value]) -> Any:
+        """Return what a golden function returns; many results in turn, each written when it is asked for."""
         results = code.inline(self.golden[name], *words)
-        return results if isinstance(results, tuple) else (results,)
+        return (results,) if isinstance(results, Value) else results
 
     # What agents see.
 
@@ -670,12 +671,11 @@ class KernelLoops:
         for i in code.range(f.first, f.end):
             state = self._words(f, i)
             for k in agents:
-                own = [] if only_masks else self._observed(code, state, k)
-                blank: list[Any] = [None] * len(self.spec.observation)
-                words = [*(blank if only_masks else own), *self._allowed(code, state, k)]
+                own = () if only_masks else self._observed(code, state, k)
+                words = itertools.chain(own, self._allowed(code, state, k))
                 for r, run in enumerate(self.runs):
-                    packed = words[run.word].to(numba_type(self.spec.agent_fields[run.word].dtype))
-                    for bit, flag in enumerate(words[run.word + 1 : run.word + run.size], 1):
+                    packed = next(words).to(numba_type(self.spec.agent_fields[run.word].dtype))
+                    for bit, flag in enumerate(itertools.islice(words, run.size - 1), 1):
                         packed = packed | (flag.to(types.uint8) << bit)
                     getattr(f, f"run_{k}_{r}")[i] = packed
 
@@ -728,17 +728,17 @@ class KernelLoops:
             self._write_row(code, f, i, words[:count])
             self._write_masks(f, i, words[count:])
 
-    def _observed(self, code: Code, state: Sequence[Value], agent: int) -> Sequence[Value]:
+    def _observed(self, code: Code, state: Sequence[Value], agent: int) -> Any:
         """Return the words that an agent observes."""
         return self._call(code, self.observers[agent], [state[place] for place in self.orders[agent]])
 
-    def _allowed(self, code: Code, state: Sequence[Value], agent: int) -> Sequence[Value]:
+    def _allowed(self, code: Code, state: Sequence[Value], agent: int) -> Any:
         """Return the words of an agent's masks."""
         if not self.masks:
             return ()
         return self._call(code, self.maskers[agent], [state[place] for place in self.orders[agent]])
 
-    def _write_row(self, code: Code, f: Frame, row: Value, words: Sequence[Value]) -> None:
+    def _write_row(self, code: Code, f: Frame, row: Value, words: Iterable[Value]) -> None:
         """Write the observation of an agent."""
         fields = self.spec.observation
         if self.unpack is not None:
@@ -748,7 +748,7 @@ class KernelLoops:
         for e, (word, field) in enumerate(zip(words, fields, strict=True)):
             f.observations[_at(row, self.row, e)] = element(code, word, field, self.dtype)
 
-    def _write_masks(self, f: Frame, row: Value, words: Sequence[Value]) -> None:
+    def _write_masks(self, f: Frame, row: Value, words: Iterable[Value]) -> None:
         for e, word in enumerate(words):
             f.action_masks[_at(row, self.masks, e)] = word
 

@@ -44,7 +44,7 @@ LINE = 64
 LONG = 200
 """Instructions from which on a function is compiled by itself: its work takes far longer than a call."""
 
-VERY_LONG = 10_000
+VERY_LONG = 5_000
 """Instructions from which on one without loops is compiled in no time rather than well."""
 
 FAILED = ir.IntType(8)
@@ -516,8 +516,9 @@ class Code(Writer):
         # A function without loops starts an episode. It is made of a graph that is simplified already, so
         # LLVM's passes would not make it faster; and a very long one would take seconds to be compiled well.
         loops = len(alone.blocks) > 1
+        passes = 1 if length >= VERY_LONG else 3
         effort = 0 if length >= VERY_LONG and not loops else 3
-        symbol = object_code.compiled(str(alone.module), alone.name, loops, effort)
+        symbol = object_code.compiled(str(alone.module), alone.name, passes if loops else 0, effort)
         return Compiled(symbol, [name for name, _ in used])
 
 

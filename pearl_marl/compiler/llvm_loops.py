@@ -3,7 +3,8 @@
 To turn a loop into SIMD code, LLVM compares every two of its memory accesses, which takes seconds for a
 thousand of them. Where the body of a loop gets long, the rest of it is therefore written into a loop of its
 own; some slots go through the one before they go through the other, so no slot may read what another writes.
-A word that is needed after the cut is loaded again, if it was loaded, or else kept in scratch space.
+LLVM is told so of such loops, and compares nothing in them. A word that is needed after the cut is loaded
+again, if it was loaded, or else kept in scratch space.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 from typing import Any
 
 from llvmlite import ir
+from llvmlite.ir.values import MDValue, MetaDataString
 
 MOST = 160
 """Accesses to memory in a part of a loop. No environment of this package has as many in one by default."""
@@ -48,6 +50,19 @@ class Writer(ir.IRBuilder):  # type: ignore[misc]
         """
         return super().gep(pointer, indices, inbounds=inbounds, **named)
 
+    def load(self, *arguments: Any, **named: Any) -> Any:
+        """Write a load; the loop that it is in takes note of it."""
+        return self._noted(super().load(*arguments, **named))
+
+    def store(self, *arguments: Any, **named: Any) -> Any:
+        """Write a store, likewise."""
+        return self._noted(super().store(*arguments, **named))
+
+    def _noted(self, access: Any) -> Any:
+        if self.loops:
+            self.loops[-1].touching[-1].append(access)
+        return access
+
     def count(self, operations: int = 0, accesses: int = 0, scattered: int = 0) -> None:
         """Say what is written next; in a loop that is too long, it begins a new part."""
         if self.loops:
@@ -74,6 +89,10 @@ class Loop:
         self._indices: list[Any] = []
         self._tests: list[Any] = []
         self._ends: list[Any] = []
+        self._plain: list[bool] = []
+        """Of each part, whether it is to stay as it is, and not to become SIMD code."""
+        self.touching: list[list[Any]] = []
+        """The loads and stores of each part."""
         self.operations = self.accesses = self.scattered = 0
         """What has been counted in this part."""
         self.whole = False
@@ -108,6 +127,7 @@ class Loop:
         self._came_from = writer.block
         self._condition, self._after = condition, writer.append_basic_block("for.end")
         writer.position_at_end(condition)
+        self.touching.append([])
         self._indices.append(writer.phi(INDEX, name="loop.index"))
         self._tests.append(writer.icmp_signed("<", self.index, self._stop))
         writer.cbranch(self._tests[-1], body, self._after)
@@ -116,9 +136,7 @@ class Loop:
     def _end(self, last: bool = False) -> None:
         writer = self._writer
         plain = self.operations < WORK * self.scattered or self.part_number >= PARTS
-        if plain and (self.part_number or not last):
-            # It does nothing; but no loop with it in it becomes SIMD code.
-            writer.asm(ir.FunctionType(ir.VoidType(), []), "", "", [], True)
+        self._plain.append(plain and bool(self.part_number or not last))
         # LLVM is to know that the sign never changes.
         self.index.add_incoming(writer.add(self.index, INDEX(1), flags=["nsw"]), writer.block)
         self._ends.append(writer.branch(self._condition))
@@ -156,8 +174,10 @@ class Loop:
             return
         writer.branch(self._outer)
         self._first.add_incoming(self._start, self._entry)
-        for index, test in zip(self._indices, self._tests, strict=True):
+        parts = self._indices, self._tests, self._ends, self.touching, self._plain
+        for index, test, end, touching, plain in zip(*parts, strict=True):
             test.operands = index, self._end_of_some
+            _describe(writer.module, end, touching, plain)
         writer.position_at_end(after)
         self._first.add_incoming(writer.add(self._first, INDEX(SLOTS), flags=["nsw"]), after)
         writer.branch(self._outer)
@@ -178,7 +198,9 @@ class Loop:
             self._room = writer.memory.allocate(writer, self._size)
             self._entry = writer.block  # a check of what was allocated has branches
         writer.position_before(self._ends[part])
+        self.touching.append(self.touching[part])  # to which the store belongs
         writer.store(value, self._address(at, self._indices[part], value.type))
+        self.touching.pop()
         writer.position_at_end(here)
         return at
 
@@ -191,3 +213,35 @@ class Loop:
         writer = self._writer
         first = writer.bitcast(writer.gep(self._room, [INDEX(at)]), type_.as_pointer())
         return writer.gep(first, [writer.sub(index, self._first)])
+
+
+class _Distinct(MDValue):  # type: ignore[misc]
+    """A node of metadata that is no other one, even with the same operands."""
+
+    def descr(self, buf: list[str]) -> None:
+        """Write it."""
+        operands = (
+            f"{operand.type} {operand.get_reference()}"
+            if isinstance(operand, ir.Constant)
+            else operand.get_reference()
+            for operand in self.operands
+        )
+        buf += (f"distinct !{{ {', '.join(operands)} }}", "\n")
+
+
+def _describe(module: Any, end: Any, touching: list[Any], plain: bool) -> None:
+    """Tell LLVM of a loop that no turn reads or writes what another one writes; and what is to become of it.
+
+    ``end`` is the branch back to where the loop begins.
+    """
+
+    def node(*operands: Any) -> _Distinct:
+        return _Distinct(module, operands, name=str(len(module.metadata)))
+
+    group, loop = node(), node()
+    loop.operands = loop, node(MetaDataString(module, "llvm.loop.parallel_accesses"), group)
+    if plain:
+        loop.operands += (node(MetaDataString(module, "llvm.loop.vectorize.enable"), ir.IntType(1)(0)),)
+    end.set_metadata("llvm.loop", loop)
+    for access in touching:
+        access.set_metadata("llvm.access.group", group)

@@ -8,6 +8,7 @@ register; or a wider one if all of them want it, since conversions cost, too. Th
 from __future__ import annotations
 
 import functools
+import itertools
 import keyword
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
@@ -35,17 +36,31 @@ MOST_NUMBERS = 16
 """Numbers that a table is packed into at most."""
 
 
-def golden_functions(spec: EnvSpec) -> list[str]:
+MANY = 256
+"""Results from which on a function makes one after the other, each as soon as what it is made of is known."""
+
+
+def golden_functions(spec: EnvSpec, in_turn: bool = False) -> list[str]:
     """Return the lines of ``initial()``, ``golden_step()``, :func:`observers` and :func:`maskers`.
 
-    They are for ``inlined`` to compile.
+    They are for ``inlined`` to compile. With ``in_turn`` those of :data:`MANY` results are generators: what
+    goes through their results has few of them at hand at a time.
 
     Raises
     ------
     ArgumentError
         A word takes more than 64 bits; the message names the file and the line.
     """
-    return _written(Itself(spec))[0]
+    lines: list[str] = []
+    for function in _written(Itself(spec))[0]:
+        lines += function.head
+        if in_turn and len(function.results) >= MANY:
+            made = itertools.zip_longest(function.lines, function.results, fillvalue="")
+            lines += (f"    {line}" for some, result in made for line in (*some, f"yield {result}"))
+        else:
+            lines += (f"    {line}" for some in function.lines for line in some)
+            lines.append(f"    return {', '.join(function.results)}")
+    return lines
 
 
 def orders(spec: EnvSpec) -> list[Order]:
@@ -71,16 +86,16 @@ def _for_agents(name: str, spec: EnvSpec, orders: Sequence[Order | None]) -> lis
 
 
 @functools.lru_cache(maxsize=64)
-def _written(itself: Itself) -> tuple[list[str], list[Order | None]]:
-    """Return the lines of golden functions, and for each agent what :func:`alike` finds."""
+def _written(itself: Itself) -> tuple[list[_Written], list[Order | None]]:
+    """Return golden functions, and for each agent what :func:`alike` finds."""
     spec = itself.spec
     draws = [Field(f"draw_{k}", 32) for k in range(spec.reset_draws + spec.step_draws)]
     reset, step = draws[: spec.reset_draws], draws[spec.reset_draws :]
     inputs = [*spec.state, *spec.each_agent(*spec.action_fields), *step]
     results = *spec.state, *spec.each_agent(spec.reward), *spec.each_agent(TERMINATED)
-    lines = [
-        *_function("initial", _traced(spec.positional.initial, reset, spec.state), reset),
-        *_function("golden_step", _traced(spec.positional.step, inputs, results), inputs),
+    functions = [
+        _function("initial", _traced(spec.positional.initial, reset, spec.state), reset),
+        _function("golden_step", _traced(spec.positional.step, inputs, results), inputs),
     ]
     views = [("observe", spec.positional.observe, spec.observation)]
     if spec.mask_fields:
@@ -89,11 +104,12 @@ def _written(itself: Itself) -> tuple[list[str], list[Order | None]]:
     alike_in = alike(spec, firsts)
     for (name, function, fields), first in zip(views, firsts, strict=True):
         names = _for_agents(name, spec, alike_in)
-        lines += _function(names[0], first, spec.state)
+        functions.append(_function(names[0], first, spec.state))
         for agent, order in enumerate(alike_in[1:], 1):
             if order is None:
-                lines += _function(names[agent], _traced(function, spec.state, fields, agent), spec.state)
-    return lines, alike_in
+                traced = _traced(function, spec.state, fields, agent)
+                functions.append(_function(names[agent], traced, spec.state))
+    return functions, alike_in
 
 
 def _traced(
@@ -106,16 +122,34 @@ def _traced(
     return Traced(function, graph, words, results, fields)
 
 
-def _function(name: str, traced: Traced, inputs: Sequence[Field]) -> list[str]:
+class _Written(NamedTuple):
+    """A function as text: before its body, the lines that make each result, and the results."""
+
+    head: list[str]
+    lines: list[list[str]]
+    results: list[str]
+
+
+def _function(name: str, traced: Traced, inputs: Sequence[Field]) -> _Written:
     function, graph, words, nodes, fields = traced
     results = list(zip(_with_merged_sums(graph, nodes), (str(f.dtype) for f in fields), strict=True))
     types = {word: str(f.dtype) for word, f in zip(words, inputs, strict=True)}
     writer = _Writer(name, function, types, results)
-    returned = ", ".join(f"np.{type_}({writer.operand(node, type_)})" for node, type_ in results)
+    returned = [f"np.{type_}({writer.operand(node, type_)})" for node, type_ in results]
     arguments = ", ".join(writer.names[word] for word in words)
-    body = [*writer.lines, f"return {returned}"]
     head = [*writer.tables, "", "", "@inlined", f"def {name}({arguments}):"]
-    return [*head, *(f"    {line}" for line in body)]
+    return _Written(head, writer.lines, returned)
+
+
+def _first_uses(order: Sequence[Node], results: Sequence[Node]) -> dict[Node, int]:
+    """Return for each node of an order the first result that it is part of."""
+    first: dict[Node, int] = {}
+    for k, node in enumerate(results):
+        first.setdefault(node, k)
+    for node in reversed(order):
+        for arg in node.args:
+            first[arg] = min(first.get(arg, len(results)), first[node])
+    return first
 
 
 def _with_merged_sums(graph: Graph, results: Sequence[Node]) -> list[Node]:
@@ -207,7 +241,8 @@ class _Writer:
         words: Mapping[Node, str],
         results: Sequence[tuple[Node, str]],
     ) -> None:
-        self.lines: list[str] = []
+        self.lines: list[list[str]] = []
+        """Those that make each result, as far as the results before it have not made it."""
         self.tables: list[str] = []
         self._masks: dict[tuple[Node, int], str] = {}
         """The byte in which only the bit at this place is set, if it is one of so many."""
@@ -221,7 +256,13 @@ class _Writer:
         # As the author has it: LLVM keeps the order, and sums right behind their flags are slower.
         order = sorted(in_order(node for node, _ in results), key=lambda node: node.number)
         self._used = kernel_bits(order, [(node, node.bits) for node, _ in results])
-        for node in self._typed(order, results):
+        typed = self._typed(order, results)
+        first = dict.fromkeys(typed, 0)
+        if len(results) >= MANY:
+            first = _first_uses(order, [node for node, _ in results])
+        for node in sorted(typed, key=first.__getitem__):
+            while len(self.lines) <= first[node]:
+                self.lines.append([])
             text = self._expression(node, self.types[node])
             if _may_be_no_flag(node):
                 text = f"{self.types[node]}_and({text}, 1)"
@@ -233,7 +274,7 @@ class _Writer:
 
     def _assign(self, name: str, text: str) -> str:
         name = self._fresh(name)
-        self.lines.append(f"{name} = {text}")
+        self.lines[-1].append(f"{name} = {text}")
         return name
 
     def _fresh(self, name: str) -> str:

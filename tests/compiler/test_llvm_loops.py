@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import llvmlite.binding as llvm
 import numba
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from llvmlite import ir
 from pearl_marl.base.cache import cache_folder
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.compiler import kernels, llvm_loops
-from pearl_marl.compiler.llvm_functions import Code, Column, Value, _Heap
+from pearl_marl.compiler.llvm_functions import FAILED, Code, Column, Value, _Heap
 from pearl_marl.compiler.llvm_words import operations
 from pearl_marl.devices import BatchConfig, Native, Reference
 from pearl_marl.envs import get_spec, names
@@ -199,6 +200,28 @@ def test_the_text_grows_as_the_loop_does_and_the_parts_do_not_grow(monkeypatch: 
         lines.append(str(module).count("\n"))
     assert 100 < max(accesses) <= MOST + 3
     assert lines[2] - lines[1] == pytest.approx(2 * (lines[1] - lines[0]), rel=0.05)
+
+
+@pytest.mark.parametrize("most", [3, 100])
+def test_llvm_compares_no_accesses_of_parts(most: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In one long loop it does: that checks when it runs whether the columns overlap."""
+    monkeypatch.setattr(llvm_loops, "MOST", most)
+    monkeypatch.setattr(llvm_loops, "WORK", 0)
+    module = ir.Module()
+    pointers = [ir.IntType(32).as_pointer(), ir.FloatType().as_pointer(), ir.IntType(64), ir.IntType(64)]
+    function = ir.Function(module, ir.FunctionType(FAILED, pointers), "mixed")
+    code = Code(ir.IRBuilder(function.append_basic_block()), _Heap, {})
+    words = Column(code, function.args[0], numba.int32), Column(code, function.args[1], numba.float32)
+    code.inline(mix, *words, *(Value(code, argument, numba.int64) for argument in function.args[2:]))
+    code.ret(FAILED(0))
+    parsed = llvm.parse_assembly(str(module))
+    tuning = llvm.create_pipeline_tuning_options(speed_level=3)
+    tuning.loop_vectorization = True
+    machine = llvm.Target.from_default_triple().create_target_machine(opt=3)
+    builder = llvm.create_pass_builder(machine, tuning)
+    builder.getModulePassManager().run(parsed, builder)
+    assert "vector.body" in str(parsed)
+    assert ("vector.memcheck" in str(parsed)) == (most == 100)
 
 
 FIRST_STEP = """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import random
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from pearl_marl.compiler import llvm_words, scalar_words
+from pearl_marl.compiler import llvm_words, scalar_words, straight_line
 from pearl_marl.compiler.straight_line import golden_functions, maskers, observers, orders
 from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import ArgumentError
@@ -126,6 +127,29 @@ def test_random_golden_functions(seed: int) -> None:
 @pytest.mark.parametrize("env", names())
 def test_environments_in_llvm(env: str) -> None:
     assert_means_the_golden_functions(get_spec(env), random.Random(0), compiled)
+
+
+@pytest.mark.parametrize("env", ["RobotWarehouse", "ConnectFour"])
+def test_many_results_in_turn_are_those_at_once(env: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And what the first results are made of is all that is computed before them."""
+    monkeypatch.setattr(straight_line, "MANY", 8)
+    spec = replace(get_spec(env))  # one that nothing is known of yet
+    at_once = functions(spec)
+    scope = dict(at_once)
+    exec("\n".join(golden_functions(spec, in_turn=True)), scope)
+    chance = random.Random(1)
+    for _ in range(CASES):
+        state = [word(chance, field) for field in spec.state]
+        for name in (*observers(spec), *maskers(spec)):
+            results = at_once[name](*state)
+            if len(results) < 8:
+                continue
+            in_turn = scope[name](*state)
+            assert inspect.isgenerator(in_turn)
+            assert next(in_turn) == results[0]
+            known = len(in_turn.gi_frame.f_locals)
+            assert (*results[:1], *in_turn) == results
+            assert known < len(at_once[name].__code__.co_varnames) / 2
 
 
 @pytest.mark.parametrize("seed", range(15))
