@@ -149,7 +149,7 @@ def takes_agent(observe: GoldenFunction) -> bool:
 
 
 def unpack_of(view: type | None, function: GoldenFunction, words: Iterable[Field]) -> GoldenFunction:
-    """Return ``unpack(seen, row)``, which takes an object of a class, as a function of words and a row.
+    """Return ``unpack(view, row)``, which takes an object of a class, as a function of words and a row.
 
     Arrays are tuples there, as Numba wants them. What takes words already is returned as it is.
     """
@@ -158,8 +158,8 @@ def unpack_of(view: type | None, function: GoldenFunction, words: Iterable[Field
     assert view is not None
     scope: dict[str, Any] = {"function": function, "__name__": function.__module__}
     names = [f"word_{word.name}" for word in words]  # whatever else a field is named like
-    seen = _written(Layout(view).built(names), scope)
-    exec(f"def unpack({', '.join(names)}, row):\n    function({seen}, row)", scope)
+    written = _written(Layout(view).built(names), scope)
+    exec(f"def unpack({', '.join(names)}, row):\n    function({written}, row)", scope)
     unpack: GoldenFunction = scope["unpack"]
     return unpack
 

@@ -157,7 +157,7 @@ class EnvSpec:
         states; ``"refused"`` makes a step with one raise ActionError, and nothing has moved. An agent whose
         masks are all 0 may send anything.
     unpack
-        For a ``Box`` whose elements are not the observation's fields: ``unpack(seen, row)`` writes what one
+        For a ``Box`` whose elements are not the observation's fields: ``unpack(view, row)`` writes what one
         slot sees, a ``golden.view``, into ``row``, a flat array (of 0 and 1 in ``uint8`` where the space's
         dtype is ``bool``). Without a view it is ``unpack(*observation, row)``. Numba compiles it: the view is
         a ``NamedTuple``, and arrays in it are tuples.
@@ -371,11 +371,13 @@ class EnvSpec:
         ]
         for k, agent in enumerate(self.views):
             role = self.roles[k] if self.roles else None
-            seen = results(self.observation)
+            words = results(self.observation)
             if role is not None and self.unpack is None:
                 size = _elements(role.observation_space)
-                seen = _none_beyond(seen, size, f"role {role.name!r} has {size} elements, so the others hold")
-            calls.append((golden.observe, state, seen, agent))
+                words = _none_beyond(
+                    words, size, f"role {role.name!r} has {size} elements, so the others hold"
+                )
+            calls.append((golden.observe, state, words, agent))
             if golden.masks is not None:
                 flags = results(self.mask_fields)
                 if role is not None:
@@ -395,9 +397,9 @@ class EnvSpec:
         row = np.zeros(self.observation_size, self.observation_dtype)
         # Of a start, since there may be no state that has the least or greatest words of all fields.
         state = call_reference(self.positional.initial, [0] * self.reset_draws)
-        seen = call_reference(self.positional.observe, state, *self.views[0])
+        words = call_reference(self.positional.observe, state, *self.views[0])
         try:
-            unpack(*map(int, seen), row)
+            unpack(*map(int, words), row)
         except Exception as error:
             code = getattr(self.unpack, "py_func", self.unpack).__code__  # type: ignore[union-attr]
             raise ArgumentError(

@@ -64,6 +64,11 @@ def trained(name: str, kind: str, width: int = 24, **how: Any) -> NetworkPolicy:
         ("ConnectFour", "logits", {}),
         ("LevelBasedForaging", "logits", {"sharing": "indicator"}),
         ("Pendulum", "mean", {}),
+        # Floats that unpack() writes, and reals.
+        ("Catch", "logits", {}),
+        ("MemoryChain", "logits", {}),
+        ("Acrobot", "logits", {}),
+        ("MountainCarContinuous", "mean", {}),
     ],
 )
 def test_integers_choose_as_floats_do(name: str, kind: str, how: dict[str, Any]) -> None:

@@ -125,7 +125,7 @@ def test_graphs_mean_the_golden_functions(env: str, options: dict[str, Any]) -> 
         assert_means(spec, lowered(graph, outputs, target), 30)
 
 
-@settings(max_examples=30)
+@settings(max_examples=30 if sampling.exhaustive else 10)
 @given(st.randoms(use_true_random=False), st.sampled_from([{}, {"divided": True}, {"reals": True}]))
 def test_random_golden_functions(chance: random.Random, kind: dict[str, bool]) -> None:
     spec = random_spec(chance, **kind)
