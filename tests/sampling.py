@@ -22,8 +22,8 @@ KINDS = (
     "Seaquest",
 )
 """Environments that differ in what interfaces and devices can tell apart: spaces, draws, masks, turns,
-worlds, pictures. Each of the others is like one of them to what does not look at how its observations are made:
-what does, such as a policy in integers, is tried with all."""
+worlds, pictures. Each of the others is like one of them to what does not look at how its observations are
+made: what does, such as a policy in integers, is tried with all."""
 
 
 def sampled(values: Iterable[Any], always: Container[Any]) -> list[Any]:
