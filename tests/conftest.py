@@ -39,8 +39,9 @@ from .toy_world import WORLDS
 if importlib.util.find_spec("hypothesis"):  # which the environments of single libraries have not
     from hypothesis import HealthCheck, settings
 
-    # How long an example takes depends on what else the machine does.
-    settings.register_profile("tests", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    # How long an example takes depends on what else the machine does. Every run has the same ones.
+    slow = [HealthCheck.too_slow]
+    settings.register_profile("tests", deadline=None, suppress_health_check=slow, derandomize=True)
     settings.load_profile("tests")
 
 

@@ -35,7 +35,7 @@ def maps(draw: st.DrawFn) -> tuple[pearl_marl.EnvSpec, MemoryMap]:
     return spec, memory_map(spec, n_envs, draw(st.integers(1, n_envs)), draw(st.sampled_from(DATA_WIDTHS)))
 
 
-@settings(max_examples=200, derandomize=True)
+@settings(max_examples=200)
 @given(maps())
 def test_regions(case: tuple[pearl_marl.EnvSpec, MemoryMap]) -> None:
     spec, layout = case
@@ -72,7 +72,7 @@ def test_regions(case: tuple[pearl_marl.EnvSpec, MemoryMap]) -> None:
     assert layout.groups * layout.pe_num >= layout.n_envs > (layout.groups - 1) * layout.pe_num
 
 
-@settings(max_examples=100, derandomize=True)
+@settings(max_examples=100)
 @given(maps())
 def test_a_step_is_one_transfer_each_way(case: tuple[pearl_marl.EnvSpec, MemoryMap]) -> None:
     _, layout = case
@@ -109,7 +109,7 @@ def test_refusals(arguments: tuple[int, int, int], complaint: str) -> None:
         memory_map(SPECS[0], *arguments)
 
 
-@settings(max_examples=200, derandomize=True)
+@settings(max_examples=200)
 @given(st.sampled_from(SPECS), st.one_of(st.integers(1, 200), st.integers(1, 1 << 20)))
 def test_default_sizes(spec: pearl_marl.EnvSpec, n_envs: int) -> None:
     """As the page on hardware has the rule: a power of two, and twice of it would break a limit."""

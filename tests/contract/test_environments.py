@@ -12,7 +12,8 @@ import pytest
 
 import pearl_marl
 from pearl_marl.compiler.cuda_kernels import simulated
-from pearl_marl.devices import Device, Sharded
+from pearl_marl.devices import Device, Lockstep, Sharded
+from pearl_marl.spec import EnvSpec
 from pearl_marl.testing import (
     HALF,
     SIZE,
@@ -22,6 +23,8 @@ from pearl_marl.testing import (
     DeviceSuite,
     assert_same_trajectory,
 )
+from pearl_marl.testing.golden_functions import GoldenContract
+from pearl_marl.verification import runs, verify
 
 from ..devices.boards import OwnBoard
 from ..sampling import KINDS
@@ -79,9 +82,21 @@ class TestEnvironments(ContractSuite):
 OTHER_ENVIRONMENTS = tuple(name for name in pearl_marl.list_envs() if name not in KINDS)
 
 
-class TestOtherEnvironments(DeviceSuite):
-    environments = OTHER_ENVIRONMENTS
-    devices = ("native",)
+class TestOtherEnvironments(GoldenContract):
+    """Their golden functions; what is compiled of these is compared below."""
+
+    @pytest.fixture(params=OTHER_ENVIRONMENTS)
+    def spec(self, request: pytest.FixtureRequest) -> EnvSpec:
+        return pearl_marl.get_spec(request.param)
+
+
+@pytest.mark.parametrize("name", OTHER_ENVIRONMENTS)
+def test_other_environments_step_as_the_reference(name: str) -> None:
+    """In every mode; more that the contract asks of a device is seen in environments of each kind."""
+    for run in runs(pearl_marl.get_spec(name), 60, 48):
+        for _ in verify(run, Lockstep("native", "reference"), seed=3):
+            pass
+        assert run.exact
 
 
 @pytest.mark.exhaustive

@@ -60,7 +60,7 @@ def layouts(draw: st.DrawFn) -> Layout:
     )
 
 
-@settings(max_examples=400, derandomize=True)
+@settings(max_examples=400)
 @given(layouts())
 @example(Layout(1, 1, 0, 33, 1))
 @example(Layout(2, 2, 0, 33, 1))
@@ -94,7 +94,7 @@ def test_against_one_large_integer(layout: Layout) -> None:
     np.testing.assert_array_equal(out, values)
 
 
-@settings(max_examples=100, derandomize=True)
+@settings(max_examples=100)
 @given(layouts(), st.sampled_from(["uint8", "uint16", "int32", "int64", "uint64"]))
 def test_higher_bits_are_cut_off(layout: Layout, dtype: str) -> None:
     """Whatever the dtype holds beyond the field's width must not reach the neighbours."""
@@ -107,7 +107,7 @@ def test_higher_bits_are_cut_off(layout: Layout, dtype: str) -> None:
     assert out.tolist() == [v % 2**layout.bits for v in values.tolist()]
 
 
-@settings(max_examples=100, derandomize=True)
+@settings(max_examples=100)
 @given(st.lists(st.tuples(st.integers(1, 64), st.booleans()), min_size=1, max_size=6), st.integers(1, 30))
 def test_a_word_of_several_fields(fields: list[tuple[int, bool]], count: int) -> None:
     stride = sum(bits for bits, _ in fields)

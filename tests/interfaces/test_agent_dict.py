@@ -169,7 +169,7 @@ def test_first_use(operation: Named, n: int) -> None:
     assert list(lazy.items()) == list(plain.items())
 
 
-@settings(max_examples=300, derandomize=True)
+@settings(max_examples=300)
 @given(st.integers(0, 8), st.lists(st.one_of(WRITES, st.sampled_from(READS)), max_size=12))
 def test_any_sequence(n: int, operations: list[Named]) -> None:
     lazy, plain = pair(n)

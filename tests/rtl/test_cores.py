@@ -15,7 +15,7 @@ from bench import spec_of
 from cases import all_cases, edge_draws, golden, split
 from gymnasium.spaces import Discrete, MultiBinary
 from harness import Design, Variant, core, run_variants
-from hypothesis import given, note, settings
+from hypothesis import assume, given, note, settings
 from hypothesis import strategies as st
 from linters import lint
 from random_steps import random_spec
@@ -27,6 +27,7 @@ from pearl_marl.compiler.scheduling import scheduled
 from pearl_marl.compiler.targets import FAMILIES, Target
 from pearl_marl.compiler.widths import width
 from pearl_marl.envs import get_spec
+from pearl_marl.errors import ArgumentError
 from pearl_marl.golden.tracing.nodes import values
 from pearl_marl.hardware import elaboration
 from pearl_marl.layout import Array, Range
@@ -128,7 +129,11 @@ def test_graphs_mean_the_golden_functions(env: str, options: dict[str, Any]) -> 
 @settings(max_examples=30 if sampling.exhaustive else 10)
 @given(st.randoms(use_true_random=False), st.sampled_from([{}, {"divided": True}, {"reals": True}]))
 def test_random_golden_functions(chance: random.Random, kind: dict[str, bool]) -> None:
-    spec = random_spec(chance, **kind)
+    try:
+        spec = random_spec(chance, **kind)
+    except ArgumentError as error:  # a real may depend on so many words only
+        assume("values together" not in str(error))
+        raise
     note(f"{spec.state}\n{spec.summary}")
     graph, outputs = core_graph(spec)
     assert_means(spec, outputs, 40)
