@@ -1,10 +1,10 @@
 """Policies that run beside the environments: exact integers in, exact integers out, the same on every device.
 
 An environment shows such a policy *elements*: the numbers of an observation as the integers that they are
-made of. Those of a ``Box`` of floats are its fixed-point words; others are the elements of the observation
-itself. Chance comes from the same counter-based random numbers as an environment's
-(:mod:`pearl_marl.golden.rng`), from an index on that no environment uses, so that a rollout is what single
-steps would have been.
+made of. Those of a ``Box`` of floats are its fixed-point words, or where ``unpack`` writes floats, these in
+fixed point; others are the elements of the observation itself. Chance comes from the same counter-based
+random numbers as an environment's (:mod:`pearl_marl.golden.rng`), from an index on that no environment uses,
+so that a rollout is what single steps would have been.
 """
 
 from __future__ import annotations
