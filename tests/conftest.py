@@ -39,10 +39,11 @@ from .toy_world import WORLDS
 if importlib.util.find_spec("hypothesis"):  # which the environments of single libraries have not
     from hypothesis import HealthCheck, settings
 
-    # How long an example takes depends on what else the machine does. Every run has the same ones.
+    # How long an example takes depends on what else the machine does. `make test` always has the same ones.
     slow = [HealthCheck.too_slow]
     settings.register_profile("tests", deadline=None, suppress_health_check=slow, derandomize=True)
-    settings.load_profile("tests")
+    settings.register_profile("exhaustive", deadline=None, suppress_health_check=slow)
+    settings.load_profile("exhaustive" if "--exhaustive" in sys.argv else "tests")
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -22,8 +22,7 @@ KINDS = (
     "Seaquest",
 )
 """Environments that differ in what interfaces and devices can tell apart: spaces, draws, masks, turns,
-worlds, pictures. Each of the others is like one of them to what does not look at how its observations are
-made: what does, such as a policy in integers, is tried with all."""
+worlds, pictures. The others differ from these in how observations are made, too; tests of that have all."""
 
 
 def sampled(values: Iterable[Any], always: Container[Any]) -> list[Any]:

@@ -1,4 +1,4 @@
-"""``unpack(seen, row)``, which writes what ``observe`` returns into an array: wherever it runs."""
+"""``unpack(view, row)``, which writes what ``observe`` returns into an array: wherever it runs."""
 
 from __future__ import annotations
 
@@ -7,16 +7,19 @@ import json
 import pickle
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete
 
 import pearl_marl
+from pearl_marl.compiler.loading import with_callees
 from pearl_marl.compiler.packing import packed
 from pearl_marl.devices import BatchConfig, make_device
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Array, Bits, Flag, Range
+from pearl_marl.layout.positional import in_fixed_point
 from pearl_marl.spec import EnvSpec, Golden
 
 
@@ -178,3 +181,29 @@ def test_what_cannot_be_compiled_is_told_where_it_stands() -> None:
     with pytest.raises(ArgumentError, match=told) as error:
         device.reset(seed=0)
     assert "umba" not in str(error.value)
+
+
+EDGES = 128.00001, 0.49999997 / 65536, 8388609 / 65536, 40_000.0, -np.inf, np.inf, np.nan
+FLOATS = (0.0, 1.0, -0.25, 0.1, *EDGES)
+
+
+@pytest.mark.parametrize("floats", [np.float32, np.float64])
+def test_floats_in_fixed_point(floats: type) -> None:
+    """The same compiled and in plain Python, whatever the author's variables are called."""
+
+    def unpack(one: Any, floor: Any, function: Any) -> None:
+        for k in range(len(FLOATS)):
+            function[k] = FLOATS[k]
+        function[0] = one + floor
+
+    made = in_fixed_point(unpack, np.dtype(floats))
+    dtype = np.dtype(f"i{np.dtype(floats).itemsize}")
+    rows = np.empty((2, len(FLOATS)), dtype)
+    made.plain(3, 4, rows[0])  # type: ignore[attr-defined]
+    with_callees(made, {}, numba.njit)(3, 4, rows[1])
+    np.testing.assert_array_equal(*rows)
+    assert rows[0, :4].tolist() == [7 << 16, 1 << 16, -(1 << 14), 6554]
+    limits = np.iinfo(dtype)
+    assert limits.min < rows[0, 8] < limits.min + (1 << 17)
+    assert limits.max - (1 << 17) < rows[0, 9] < limits.max
+    assert rows[0, 10] == 0

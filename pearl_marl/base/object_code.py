@@ -48,8 +48,8 @@ def compiled(text: str, name: str, passes: int = 3, effort: int = 3) -> str:
             tuning = llvm.create_pipeline_tuning_options(speed_level=passes)
             tuning.loop_vectorization = True
             builder = llvm.create_pass_builder(machine, tuning)
-            # What is left of a loop after so many turns at once is done turn by turn: functions with loops of
-            # many turns are called, and code for fewer turns at once would take as long again to compile.
+            # The turns that are left over are done one by one. These loops have many turns, and code for
+            # fewer at once would take as long again to compile.
             llvm.set_option("pearl_marl", "-enable-epilogue-vectorization=false")
             try:
                 builder.getModulePassManager().run(module, builder)

@@ -582,7 +582,8 @@ class KernelLoops:
                 f.actions[_at(i, count, k)].to(numba_type(field.dtype))
                 for k, field in enumerate(self.agents * fields)
             ]
-            results = self._call(code, "golden_step", [*state, *actions, *self._draws(f, i, self.step_draws)])
+            words = [*state, *actions, *self._draws(f, i, self.step_draws)]
+            results = tuple(self._call(code, "golden_step", words))
             for k, column in enumerate(self._state(f)):
                 column[i] = results[k]
             codes, ends = results[-2 * self.agents : -self.agents], results[-self.agents :]

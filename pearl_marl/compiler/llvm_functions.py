@@ -45,7 +45,8 @@ LONG = 200
 """Instructions from which on a function is compiled by itself: its work takes far longer than a call."""
 
 VERY_LONG = 5_000
-"""Instructions from which on one without loops is compiled in no time rather than well."""
+"""Instructions from which on LLVM does less for one: without loops code is made in no time rather than well,
+and with loops passes are left out that change little."""
 
 FAILED = ir.IntType(8)
 """What such a function returns: 1 where there is no memory left, and else 0."""
@@ -513,8 +514,9 @@ class Code(Writer):
                 # Words are in one array or in another; so LLVM need not find out at each loop.
                 argument.add_attribute("noalias")
         alone.args = tuple(argument for _, argument in used)
-        # A function without loops starts an episode. It is made of a graph that is simplified already, so
-        # LLVM's passes would not make it faster; and a very long one would take seconds to be compiled well.
+        # Functions are made of graphs that are simplified already. So the passes of LLVM's first level, which
+        # make SIMD code of loops, do for a very long one; and a function without loops, which starts an
+        # episode, gains by no pass, and a very long one would take seconds to be compiled well.
         loops = len(alone.blocks) > 1
         passes = 1 if length >= VERY_LONG else 3
         effort = 0 if length >= VERY_LONG and not loops else 3

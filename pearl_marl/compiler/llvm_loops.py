@@ -136,7 +136,7 @@ class Loop:
     def _end(self, last: bool = False) -> None:
         writer = self._writer
         plain = self.operations < WORK * self.scattered or self.part_number >= PARTS
-        self._plain.append(plain and bool(self.part_number or not last))
+        self._plain.append(plain)
         # LLVM is to know that the sign never changes.
         self.index.add_incoming(writer.add(self.index, INDEX(1), flags=["nsw"]), writer.block)
         self._ends.append(writer.branch(self._condition))
@@ -198,9 +198,9 @@ class Loop:
             self._room = writer.memory.allocate(writer, self._size)
             self._entry = writer.block  # a check of what was allocated has branches
         writer.position_before(self._ends[part])
-        self.touching.append(self.touching[part])  # to which the store belongs
-        writer.store(value, self._address(at, self._indices[part], value.type))
-        self.touching.pop()
+        address = self._address(at, self._indices[part], value.type)
+        # The part that it belongs to takes note of it, and not the loop that is being written.
+        self.touching[part].append(ir.IRBuilder.store(writer, value, address))
         writer.position_at_end(here)
         return at
 

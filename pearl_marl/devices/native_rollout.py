@@ -192,7 +192,7 @@ compiled_rollout = compiled_loop(_rollout, addresses, device_policy, integer_loo
 
 It is called as ``rollout(*addresses, arguments, table, net, batch, sums, record, agents, steps, lo, hi)`` for
 the slots of a range, with what :func:`addresses_for` returns. ``arguments`` and ``table`` are what the kernel
-``step`` takes; ``record`` has bytes in the place of elements.
+``step`` takes; ``record`` has bytes in the place of observations.
 """
 
 

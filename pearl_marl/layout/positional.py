@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -164,46 +164,48 @@ def unpack_of(view: type | None, function: GoldenFunction, words: Iterable[Field
     return unpack
 
 
+UNPACKED_FRACTION = 16
+"""Bits behind the binary point of the integers that :func:`in_fixed_point` makes of floats."""
+
+
 def in_fixed_point(unpack: GoldenFunction, floats: np.dtype[Any]) -> GoldenFunction:
     """Return ``unpack`` for a row of integers as wide as the floats that it writes.
 
-    They are in units of ``2**-unpacked_fraction(floats)``, rounded to the nearest; what is beyond their range
-    becomes their least or greatest.
+    They are in units of ``2**-UNPACKED_FRACTION``, rounded to the nearest. Floats beyond what fits are cut,
+    and NaN becomes 0.
     """
-    one = 2.0 ** unpacked_fraction(floats)
+    one = 2.0**UNPACKED_FRACTION
     most = 2.0 ** (8 * floats.itemsize - 1) / one - 1
+    scope: dict[str, Any] = {
+        "function": unpack,
+        "floats_of": floats.type,
+        "floor": math.floor,
+        "one": one,
+        "most": most,
+        "__name__": unpack.__module__,
+    }
+    words = "".join(f"word_{k}, " for k in range(len(inspect.signature(unpack).parameters) - 1))
+    # Floats are written in the row's own bytes, each of which its integer then takes.
+    lines = (
+        f"def unpack({words}row):",
+        "    numbers = row.view(floats_of)",
+        f"    function({words}numbers)",
+        "    for k in range(len(row)):",
+        "        number = numbers[k]",
+        "        row[k] = floor(min(max(number, -most), most) * one + 0.5) if number == number else 0",
+    )
+    exec("\n".join(lines), scope)
+    result: Any = scope["unpack"]
+    original = getattr(unpack, "plain", unpack)
 
-    def made(function: GoldenFunction) -> GoldenFunction:
-        *given, row = inspect.signature(function).parameters
-        scope: dict[str, Any] = {
-            "function": function,
-            "floats_of": floats.type,
-            "floor": math.floor,
-            "one": one,
-            "most": most,
-            "__name__": unpack.__module__,
-        }
-        words = "".join(f"{name}, " for name in given)
-        # Floats are written in the row's own bytes, each of which its integer then takes.
-        lines = (
-            f"def unpack({words}{row}):",
-            f"    floats = {row}.view(floats_of)",
-            f"    function({words}floats)",
-            f"    for k in range(len({row})):",
-            f"        {row}[k] = floor(min(max(floats[k], -most), most) * one + 0.5)",
-        )
-        exec("\n".join(lines), scope)
-        result: GoldenFunction = scope["unpack"]
-        return result
+    def plain(*words: Any) -> None:
+        numbers = np.empty(len(words[-1]), floats)
+        original(*words[:-1], numbers)
+        exact = np.nan_to_num(numbers.astype(np.float64), nan=0.0).clip(-most, most)
+        words[-1][:] = np.floor(exact * one + 0.5)
 
-    result = made(unpack)
-    result.plain = made(getattr(unpack, "plain", unpack))  # type: ignore[attr-defined]
-    return result
-
-
-def unpacked_fraction(floats: np.dtype[Any]) -> int:
-    """Return how many bits behind the binary point floats have that :func:`in_fixed_point` makes integers."""
-    return min(16, 4 * floats.itemsize)
+    result.plain = plain
+    return cast(GoldenFunction, result)
 
 
 def plain_unpack_of(view: type | None, function: GoldenFunction) -> GoldenFunction:

@@ -263,6 +263,8 @@ def _check(network: IntegerNetwork) -> None:
             added = choices * int(np.abs(inputs.table.astype(np.int64)).max(initial=0))
         case Patches():
             rows, columns, planes = inputs.shape
+            if spec.observation_dtype.kind == "f":
+                refuse(f"patches are of planes of 0 and 1, and observations are {spec.observation_dtype}")
             if spec.observation_shape != inputs.shape or inputs.weights.shape[1:] != (3, 3, planes):
                 refuse(
                     f"patches of {inputs.shape}, where observations have the shape {spec.observation_shape}"

@@ -96,7 +96,13 @@ def check_quantizable(policy: NetworkPolicy | Table) -> None:
         raise ArgumentError(
             "the policy's layers are standardised, for which integers have no layer: train it by ppo or dqn"
         )
-    greatest = int(bounds(policy.spec.observation_space)[1].max()) if network.encoder.kind == "picture" else 1
+    is_picture = network.encoder.kind == "picture"
+    if is_picture and policy.spec.observation_dtype.kind == "f":
+        raise ArgumentError(
+            f"observations of {policy.spec.name} are planes of floats, and only planes of 0 and 1 in bools "
+            "or integers become inputs of a policy in integers"
+        )
+    greatest = int(bounds(policy.spec.observation_space)[1].max()) if is_picture else 1
     if greatest > 1:
         raise ArgumentError(
             f"observations of {policy.spec.name} are planes of numbers up to {greatest}, and only planes of "

@@ -29,6 +29,7 @@ from pearl_marl.layout import Interval, Layout, real_field
 from pearl_marl.layout.fields import Field as Field
 from pearl_marl.layout.fields import word_bits as word_bits
 from pearl_marl.layout.positional import (
+    UNPACKED_FRACTION,
     Positional,
     in_fixed_point,
     initial_of,
@@ -36,7 +37,6 @@ from pearl_marl.layout.positional import (
     step_of,
     takes_agent,
     unpack_of,
-    unpacked_fraction,
     view_of,
 )
 from pearl_marl.spec.elements import ActionSpace, action_counts, are_numbers, bounds
@@ -531,8 +531,7 @@ class EnvSpec:
         """How many bits of each element (:attr:`in_elements`) are behind the binary point."""
         if self.unpack is None:
             return tuple(word.fraction for word in self.observation)
-        floats = self.observation_dtype
-        return self.observation_size * (unpacked_fraction(floats) if floats.kind == "f" else 0,)
+        return self.observation_size * (UNPACKED_FRACTION if self.observation_dtype.kind == "f" else 0,)
 
     @cached_property
     def functions(self) -> tuple[GoldenFunction, ...]:

@@ -10,13 +10,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from gymnasium.spaces import Discrete, MultiBinary
 
 from pearl_marl.compiler import llvm_words, scalar_words, straight_line
 from pearl_marl.compiler.straight_line import golden_functions, maskers, observers, orders
+from pearl_marl.devices import BatchConfig, Lockstep
 from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import Draws, Word, call_reference
-from pearl_marl.layout import Bits
+from pearl_marl.layout import Array, Bits, Flag
 from pearl_marl.spec import EnvSpec, Field, Golden
 
 from ..rtl.random_steps import random_spec
@@ -279,3 +281,36 @@ def test_a_word_that_no_kernel_can_hold() -> None:
 
     with pytest.raises(ArgumentError, match=r"test_straight_line\.py, line \d+: square takes 101 bits here"):
         golden_functions(wide(observe))
+
+
+class Many(NamedTuple):
+    flags: Array[Flag, 300]
+
+
+def test_a_step_and_an_observer_of_many_results() -> None:
+    """In a kernel, where they come one after the other."""
+
+    def initial(draws: Draws) -> Many:
+        bits = draws.bits(30)
+        return Many([bits >> k % 30 & 1 for k in range(300)])
+
+    def step(state: Many, action: Word, draws: Draws) -> tuple[Many, Word, Word]:
+        flags = [flag ^ (action & 1) for flag in state.flags[1:]]
+        return Many([*flags, state.flags[0]]), action & 1, state.flags[7] & state.flags[9]
+
+    spec = EnvSpec(
+        name="Many",
+        version=0,
+        summary="More flags than a function returns at once",
+        rewards=(0.0, 1.0),
+        observation_space=MultiBinary(300),
+        action_space=Discrete(2),
+        golden=Golden(Many, initial, step, lambda state: state.flags),
+    )
+    device = Lockstep("native", "reference")
+    device.open(BatchConfig(spec=spec, n_envs=70, max_cycles=5))
+    device.reset(seed=1)
+    chance = np.random.default_rng(0)
+    for _ in range(9):
+        device.step(chance.integers(2, size=70))
+    device.close()

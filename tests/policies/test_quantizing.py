@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.spaces import Box
 
 import pearl_marl
 from pearl_marl.devices import BatchConfig, Native
@@ -92,6 +94,15 @@ def test_planes_of_larger_numbers_are_refused() -> None:
     policy = NetworkPolicy(pearl_marl.get_spec("Overcooked"), "logits", 8)
     with pytest.raises(ArgumentError, match="planes of numbers up to 20, and only planes of 0 and 1"):
         quantized(policy, reached("Overcooked", 1)[0])
+
+
+def test_planes_of_floats_are_refused() -> None:
+    space = Box(0, 1, pearl_marl.get_spec("TicTacToe").observation_shape, np.float32)
+    spec = replace(pearl_marl.get_spec("TicTacToe"), observation_space=space)
+    with pytest.raises(ArgumentError, match="planes of floats, and only planes of 0 and 1"):
+        quantized(NetworkPolicy(spec, "logits", 8), np.zeros((4, *space.shape), np.float32))
+    with pytest.raises(ArgumentError, match="patches are of planes of 0 and 1, and observations are float32"):
+        random_network(spec, 5)
 
 
 def test_layers_share_a_table_where_weights_are_large_enough() -> None:

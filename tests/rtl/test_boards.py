@@ -87,7 +87,7 @@ def plugged_in(tmp_path: Path) -> Iterator[str]:
             running.result()
 
 
-@pytest.mark.exhaustive  # the test below does so too, if not in every mode
+@pytest.mark.exhaustive  # the test below steps it too, in one mode
 def test_a_program_steps_the_ulx3s(plugged_in: str) -> None:
     """Every word of every step, in every mode, over a line of bits."""
     for plan in runs(SPEC, SIZE[0], 8, max_cycles=2):
