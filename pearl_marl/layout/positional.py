@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -198,6 +199,7 @@ def in_fixed_point(unpack: GoldenFunction, floats: np.dtype[Any]) -> GoldenFunct
     result: Any = scope["unpack"]
     original = getattr(unpack, "plain", unpack)
 
+    @functools.wraps(unpack)  # it takes as many arguments
     def plain(*words: Any) -> None:
         numbers = np.empty(len(words[-1]), floats)
         original(*words[:-1], numbers)
