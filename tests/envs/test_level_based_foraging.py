@@ -13,12 +13,13 @@ from scipy import stats
 
 import pearl_marl
 from pearl_marl import EnvSpec
-from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.envs.level_based_foraging.free_cells import Grid, count_of
 from pearl_marl.envs.level_based_foraging.picture import CELL, FOOD, PLAYER
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
 from pearl_marl.porting.oracle import Games, Ours, Outcome, compare
+
+from .starts import started
 
 Array = np.ndarray[Any, Any]
 STANDARD = {
@@ -65,14 +66,6 @@ CASES = {
 
 def spec_of(given: dict[str, Any]) -> EnvSpec:
     return pearl_marl.get_spec("LevelBasedForaging").with_options(**given)
-
-
-def started(spec: EnvSpec, n: int, seed: int) -> list[Array]:
-    """Return the columns of ``n`` starts, by the kernel: other tests hold that against the reference."""
-    device = Native()
-    device.open(BatchConfig(spec=spec, n_envs=n))
-    device.reset(seed=seed)
-    return list(device.state().T.astype(np.int64))
 
 
 AHEAD = (0, 0), (-1, 0), (1, 0), (0, -1), (0, 1), (0, 0)

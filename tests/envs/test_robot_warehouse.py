@@ -17,7 +17,6 @@ from scipy import stats
 
 import pearl_marl
 from pearl_marl import EnvSpec
-from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.envs.robot_warehouse import picture
 from pearl_marl.envs.robot_warehouse.moves import AHEAD, make_ties
 from pearl_marl.envs.robot_warehouse.rules import Rules
@@ -28,6 +27,8 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import reference
 from pearl_marl.layout import Layout
 from pearl_marl.porting.oracle import Games, Ours, Outcome, compare
+
+from .starts import started
 
 Array = np.ndarray[Any, Any]
 NOOP, FORWARD, TURN_LEFT, TURN_RIGHT, TOGGLE = range(5)
@@ -188,14 +189,6 @@ def told(rules: Rules, state: list[int]) -> tuple[Any, ...]:
 def places(rules: Rules, state: list[Array]) -> Array:
     """Return columns and rows of the robots, of shape ``(n, robots, 2)``."""
     return np.stack([np.stack([robot.x, robot.y], 1) for robot in parts(rules, state)[0]], 1)
-
-
-def started(spec: EnvSpec, n: int, seed: int) -> list[Array]:
-    """Return the columns of ``n`` starts, by the kernel: other tests hold that against the reference."""
-    device = Native()
-    device.open(BatchConfig(spec=spec, n_envs=n))
-    device.reset(seed=seed)
-    return list(device.state().T.astype(np.int64))
 
 
 # ---- Robots in each other's way
