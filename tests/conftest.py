@@ -36,18 +36,22 @@ from .toy_fields import FIELDS
 from .toy_memory import POSITIONS
 from .toy_world import WORLDS
 
-if importlib.util.find_spec("hypothesis"):  # which the environments of single libraries have not
+HAS_HYPOTHESIS = importlib.util.find_spec("hypothesis") is not None
+"""The environments of single libraries have it not."""
+
+if HAS_HYPOTHESIS:
     from hypothesis import HealthCheck, settings
 
     # How long an example takes depends on what else the machine does. `make test` always has the same ones.
     slow = [HealthCheck.too_slow]
     settings.register_profile("tests", deadline=None, suppress_health_check=slow, derandomize=True)
     settings.register_profile("exhaustive", deadline=None, suppress_health_check=slow)
-    settings.load_profile("exhaustive" if "--exhaustive" in sys.argv else "tests")
 
 
 def pytest_configure(config: pytest.Config) -> None:
     sampling.exhaustive = config.getoption("--exhaustive")
+    if HAS_HYPOTHESIS:  # before tests are imported, whose settings begin with the profile's
+        settings.load_profile("exhaustive" if sampling.exhaustive else "tests")
     config.addinivalue_line("markers", "slow: takes seconds or gigabytes; runs where --slow is given")
     exhaustive = (
         "exhaustive: at more sizes, or for longer, what another test shows; runs where --exhaustive is given"
