@@ -22,7 +22,7 @@ KINDS = (
     "Seaquest",
 )
 """Environments that differ in what interfaces and devices can tell apart: spaces, draws, masks, turns,
-worlds, pictures. The others differ from these in how observations are made, too; tests of that have all."""
+worlds, pictures. The others also make observations in other ways, so tests of that take all of them."""
 
 
 def sampled(values: Iterable[Any], always: Container[Any]) -> list[Any]:
