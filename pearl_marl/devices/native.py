@@ -23,14 +23,12 @@ from pearl_marl.checks import checked_count_or_none
 from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device, Phase
-from pearl_marl.devices.native_rollout import Batch, addresses_for, compiled_rollout
+from pearl_marl.devices.native_rollout import Batch, address_of_step, compiled_policy, compiled_rollout
 from pearl_marl.devices.rollouts import Record, Sums, element_dtype, in_parts, recorded_form
 from pearl_marl.devices.threads import ThreadCount, Threads, cores
 from pearl_marl.errors import ActionError
 from pearl_marl.golden import rng
-from pearl_marl.policies.device_policy import DevicePolicy
-from pearl_marl.policies.integer_loops import Prepared, prepared
-from pearl_marl.policies.integer_network import IntegerNetwork
+from pearl_marl.policies.device_policy import CompiledPolicy, DevicePolicy
 
 _TICK = STEP_ARGUMENTS.index("tick")
 _SEEDS = slice(STEP_ARGUMENTS.index("seed_0"), STEP_ARGUMENTS.index("seed_1") + 1)
@@ -198,24 +196,22 @@ class Native(Device):
     ) -> tuple[Rollout, Observed]:
         config, spec = self.config, self.config.spec
         seen = spec.in_elements
-        if not isinstance(policy, IntegerNetwork) or (record and recorded_form(spec) is not seen):
+        compiled = compiled_policy(policy, element_dtype(seen))
+        if compiled is None or (record and recorded_form(spec) is not seen):
             return super()._rollout(policy, steps, record, episodes)
-        kernels, network = compile_kernels(seen, self._elapsed.dtype), prepared(policy, element_dtype(seen))
-        actions = np.dtype(spec.action_dtype)
-        addresses = addresses_for(kernels, actions, self._arguments, self.reward_table, network)
+        kernels, actions = compile_kernels(seen, self._elapsed.dtype), np.dtype(spec.action_dtype)
+        step = address_of_step(kernels, actions, self._arguments, self.reward_table)
         elapsed = self._elapsed.repeat(spec.agents)
         sums = Sums.of(elapsed, self.in_episode, self.resetting(), episodes)
         kept = Record.of(config, steps if record else 0, policy.logits)
         in_bytes = kept._replace(observations=kept.observations.view(np.uint8))
         for done, some in in_parts(steps):
-            self._run_rollout(addresses, network, sums, in_bytes.between(done, done + some), some)
+            self._run_rollout(compiled, step, sums, in_bytes.between(done, done + some), some)
         observed = self._reset(np.zeros(config.n_envs, np.bool_), None)
         return sums.result(steps, kept.arrays(config) if record else {}), observed
 
     @uninterrupted
-    def _run_rollout(
-        self, addresses: tuple[int, int], network: Prepared, sums: Sums, record: Record, steps: int
-    ) -> None:
+    def _run_rollout(self, policy: CompiledPolicy, step: int, sums: Sums, record: Record, steps: int) -> None:
         """Do some steps of a rollout."""
         batch = Batch.of(self.config, self.elements())
         self._arguments[_SEEDS] = self._seed = self.seed
@@ -223,7 +219,7 @@ class Native(Device):
         arguments[STEP_ARGUMENTS.index("checked")] = 0
         batch.put_into(arguments)
         agents = self.config.spec.agents
-        whole = *addresses, arguments, self.reward_table, network, batch, sums, record, agents, steps
+        whole = *policy.arguments, step, arguments, self.reward_table, batch, sums, record, agents, steps
         began = time.perf_counter()
         self._run(self._of_rollouts.now, compiled_rollout(), whole)
         if self._of_rollouts.tuning:

@@ -6,6 +6,7 @@ kernel ``step``, and of the policy.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numba
@@ -22,9 +23,11 @@ from pearl_marl.devices import rollouts
 from pearl_marl.devices.rollouts import Sums
 from pearl_marl.golden import rng
 from pearl_marl.golden.rng import CHAIN_A, CHAIN_B
-from pearl_marl.policies import device_policy, integer_loops
-from pearl_marl.policies.device_policy import FIRST_DRAW
-from pearl_marl.policies.integer_loops import Prepared, called, compiled_act
+from pearl_marl.policies import dense_policy, device_policy, integer_loops
+from pearl_marl.policies.dense_policy import DenseNetwork
+from pearl_marl.policies.device_policy import FIRST_DRAW, CompiledPolicy, DevicePolicy
+from pearl_marl.policies.integer_loops import called
+from pearl_marl.policies.integer_network import IntegerNetwork
 
 TICK, SEED_0, SEED_1, FIRST_SLOT, NEXT_STEP = map(
     STEP_ARGUMENTS.index, ("tick", "seed_0", "seed_1", "first_slot", "next_step")
@@ -140,12 +143,12 @@ def _make_draws(arguments: Array, tick: Any, agents: int, b: int, draws: Array) 
                 draws[i * agents + agent, d] = draw(slot, key_a, key_b)
 
 
-def _rollout(act, step, arguments, table, net, batch, sums, record, agents, steps, lo, hi):  # type: ignore[no-untyped-def]
+def _rollout(act, policy, n_draws, step, arguments, table, batch, sums, record, agents, steps, lo, hi):  # type: ignore[no-untyped-def]
     rows, fields = BLOCK * agents, record.words.shape[2]
     n_agents = len(batch.rewards)
     row, size = len(batch.elements) // n_agents, len(batch.actions) // (n_agents * fields)
     masked, keep = len(batch.masks) > 0, len(record.rewards) > 0
-    draws = np.empty((rows, net.draws), np.uint32)
+    draws = np.empty((rows, n_draws), np.uint32)
     words = np.empty((rows, fields), np.int64)
     logits = np.empty((rows if keep else 0, record.logits.shape[2]), np.int32)
     mine = arguments.copy()
@@ -156,11 +159,11 @@ def _rollout(act, step, arguments, table, net, batch, sums, record, agents, step
         elements, masks = batch.elements[first * row : last * row], batch.masks[first:last]
         own, of_block = words[:n], draws[:n]
         flat, actions = own.reshape(-1), batch.actions[first * fields * size : last * fields * size]
-        to_act, to_step = (net, elements, masks, of_block, own, logits), (mine, batch.actions, table, b, e)
+        to_act, to_step = (policy, elements, masks, of_block, own, logits), (mine, batch.actions, table, b, e)
         for t in range(steps):
             tick = arguments[TICK] + np.uint64(t)
             mine[TICK] = tick
-            if net.draws:
+            if n_draws:
                 _make_draws(arguments, tick, agents, b, of_block)
             call_act(act, to_act)
             if size == 1:
@@ -190,17 +193,25 @@ def _rollout(act, step, arguments, table, net, batch, sums, record, agents, step
 compiled_rollout = compiled_loop(_rollout, addresses, device_policy, integer_loops, rollouts, rng)
 """Return the loop of a rollout.
 
-It is called as ``rollout(*addresses, arguments, table, net, batch, sums, record, agents, steps, lo, hi)`` for
-the slots of a range, with what :func:`addresses_for` returns. ``arguments`` and ``table`` are what the kernel
-``step`` takes; ``record`` has bytes in the place of observations.
+It is called as ``rollout(*policy, step, arguments, table, batch, sums, record, agents, steps, lo, hi)`` for
+the slots of a range. ``policy`` are the arguments of a :class:`CompiledPolicy`; ``step`` is the address of
+the kernel of that name, which takes ``arguments`` and ``table``. ``record`` has bytes in the place of
+observations.
 """
 
 
-def addresses_for(
-    kernels: Kernels, actions: np.dtype[Any], arguments: Array, table: Array, net: Prepared
-) -> tuple[int, int]:
-    """Return the addresses of the policy, and of the kernel ``step`` for words of actions of a dtype."""
-    rows = {dtype: np.zeros((0, 0), dtype) for dtype in (np.int8, np.uint32, np.int64, np.int32)}
-    act = net, np.zeros(0, np.uint8), *rows.values()
-    step = arguments, np.zeros(0, actions), table, 0, 0
-    return address_of(compiled_act(), *act), address_of(kernels.step, *step)
+_COMPILED: Mapping[type, Callable[[Any, np.dtype[Any]], CompiledPolicy]] = {
+    IntegerNetwork: integer_loops.compiled,
+    DenseNetwork: dense_policy.compiled,
+}
+
+
+def compiled_policy(policy: DevicePolicy, elements: np.dtype[Any]) -> CompiledPolicy | None:
+    """Return a policy compiled for elements of a dtype; ``None`` if its kind cannot be."""
+    compiled = _COMPILED.get(type(policy))
+    return None if compiled is None else compiled(policy, elements)
+
+
+def address_of_step(kernels: Kernels, actions: np.dtype[Any], arguments: Array, table: Array) -> int:
+    """Return the address of the kernel ``step`` for words of actions of a dtype."""
+    return address_of(kernels.step, arguments, np.zeros(0, actions), table, 0, 0)

@@ -1,7 +1,7 @@
 """Evaluating a policy on a device: returns, lengths, what each stage of a step took, and a digest.
 
 The digest is a hash over everything that the policy saw and did. Devices give the same answers bit for
-bit, so one policy has one digest on all of them. A policy in integers runs beside the environments, in
+bit, so one policy has one digest on all of them. A device policy runs beside the environments, in
 rollouts; the digest is then over the return, length and end of each episode.
 """
 
@@ -37,7 +37,10 @@ CONFIDENCE = 1.96
 """Standard errors to either side of a mean that make 95 % of a normal distribution."""
 
 FIRST_STEPS = 64
-"""Steps of the first rollout of a policy in integers; each further one has twice as many."""
+"""Steps of the first rollout of a policy that runs beside the environments."""
+
+FASTER, SLOWER = 8, 2
+"""How many times as many steps the next rollout has: where no episode has ended yet, and where some have."""
 
 BINS = 60
 
@@ -56,7 +59,7 @@ class Evaluation:
     Parameters
     ----------
     policy
-        What chooses actions; see :mod:`pearl_marl.policies.loading`. Of a policy in integers, agents do their
+        What chooses actions; see :mod:`pearl_marl.policies.loading`. Of a device policy, agents do their
         second and further episodes in worlds of other seeds, which follow from ``seed``.
     device
         A name or a device. Of a :class:`~pearl_marl.devices.Lockstep`, the device that is checked is timed.
@@ -73,7 +76,7 @@ class Evaluation:
     truncated
         How many of them only the time limit ended.
     steps
-        Steps taken by every agent; of a policy in integers, those of the rollouts whose episodes count.
+        Steps taken by every agent; of a device policy, those of the rollouts whose episodes count.
     """
 
     def __init__(
@@ -186,7 +189,8 @@ class Evaluation:
             steps = counted = 0
             # How long the longest episode is, is not known; to begin again costs at most as many steps again.
             while counted < len(agents):
-                steps = min(max(2 * steps, FIRST_STEPS), limit or MAX_CYCLES)
+                growth = SLOWER if counted else FASTER
+                steps = min(max(growth * steps, FIRST_STEPS), limit or MAX_CYCLES)
                 self.device.reset(seed)
                 began = time.perf_counter()
                 sums = self.device.rollout(policy, steps, episodes=1)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,17 +32,21 @@ _VECTOR = ir.VectorType(_FLOAT, WIDE)
 _INDEX = ir.IntType(64)
 
 
+Vector = Annotated[Array, types.Array(types.float32, 1, "C")]
+Matrix = Annotated[Array, types.Array(types.float32, 2, "C")]
+
+
 class Layers(NamedTuple):
     """Weights, or gradients by them; all ``float32``. An output is ``third @ h + bias3``, and so on."""
 
-    first: Array  # (width, inputs); for numbers as inputs, (width, 0)
-    table: Array  # (numbers, width), of which rows are added to what the first layer makes; may be empty
-    indicator: Array  # (positions, width), of which one is added; may be empty
-    bias1: Array
-    second: Array  # (width, width)
-    bias2: Array
-    third: Array  # (outputs, width)
-    bias3: Array
+    first: Matrix  # (width, inputs); for numbers as inputs, (width, 0)
+    table: Matrix  # (numbers, width), of which rows are added to what the first layer makes; may be empty
+    indicator: Matrix  # (positions, width), of which one is added; may be empty
+    bias1: Vector
+    second: Matrix  # (width, width)
+    bias2: Vector
+    third: Matrix  # (outputs, width)
+    bias3: Vector
     layer_norm: bool  # whether what the first and the second layer make is standardised, row by row
 
 

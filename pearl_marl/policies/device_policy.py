@@ -33,6 +33,37 @@ class ActionChoice(NamedTuple):
     """What the actions were chosen by, ``int32`` of shape ``(n, sum of action_counts)``, if by any."""
 
 
+class CompiledPolicy(NamedTuple):
+    """A policy as the CPU's loop of a rollout calls it."""
+
+    act: int
+    """The address of a function ``act(at, elements, masks, draws, words, logits)``.
+
+    ``elements`` are the bytes of the elements of ``n`` agents of whole worlds; ``masks``, ``int8`` of shape
+    ``(n, n_actions)`` or of no rows; ``draws``, ``uint32`` of shape ``(n, draws)``. It writes the words of
+    actions to ``words``, ``int64`` of shape ``(n, fields)``, and logits to ``logits``, ``int32`` of shape
+    ``(n, outputs)`` or of no rows.
+    """
+    memory: Array
+    """What ``act`` works on; ``at`` is its address."""
+    draws: int
+    owner: Any
+    """What owns the arrays that the memory refers to."""
+
+    @property
+    def arguments(self) -> tuple[int, int, int]:
+        """What the loop is given."""
+        return self.act, self.memory.ctypes.data, self.draws
+
+
+ACT_ARGUMENTS = (
+    0,
+    np.zeros(0, np.uint8),
+    *(np.zeros((0, 0), dtype) for dtype in (np.int8, np.uint32, np.int64, np.int32)),
+)
+"""What has the types of the arguments of a :class:`CompiledPolicy`'s ``act``."""
+
+
 class DevicePolicy(ABC):
     """A policy that every device can run beside its environments.
 

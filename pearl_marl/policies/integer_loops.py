@@ -6,14 +6,16 @@ What the processor has instructions for is in :mod:`pearl_marl.policies.integer_
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 
+from pearl_marl.compiler import addresses
+from pearl_marl.compiler.addresses import address_of, fields_at, in_memory
 from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.policies import integer_vectors
-from pearl_marl.policies.device_policy import Array
+from pearl_marl.policies.device_policy import ACT_ARGUMENTS, Array, CompiledPolicy
 from pearl_marl.policies.integer_network import (
     ENTRIES,
     Dense,
@@ -47,6 +49,14 @@ MIDDLE = 128
 """What is added to bytes with a sign, so that they have none."""
 
 
+Words = Annotated[Array, types.Array(types.int64, 1, "C")]
+Words2 = Annotated[Array, types.Array(types.int64, 2, "C")]
+Sums1 = Annotated[Array, types.Array(types.int32, 1, "C")]
+Sums2 = Annotated[Array, types.Array(types.int32, 2, "C")]
+Sums4 = Annotated[Array, types.Array(types.int32, 4, "C")]
+Bytes2 = Annotated[Array, types.Array(types.uint8, 2, "C")]
+
+
 class Prepared(NamedTuple):
     """A network as compiled loops take it. Weights of all layers lie one after the other, in groups."""
 
@@ -54,29 +64,27 @@ class Prepared(NamedTuple):
     size: int  # bytes of an element
     signed: int  # 1 where it has a sign
     width: int  # elements of an observation
-    offset: Array  # int64, one an element; of LOOKED_UP and PICKED one a choice: the row of zeros
-    multiplier: Array
-    input_shift: Array
+    offset: Words  # one an element; of LOOKED_UP and PICKED one a choice: the row of zeros
+    multiplier: Words
+    input_shift: Words
     limit: int
-    factors: Array  # int64, (choices, elements)
-    table: Array  # int32, (rows, width)
-    picks: Array  # int32, (rows, fields): the action of each row, where a row decides
-    indicator: Array  # int32, (agents, width)
-    filters: Array  # int32, (planes, 3 rows, 3 columns from last to first, filters)
-    filter_bias: Array  # int32
-    shape: Array  # int64: rows, columns, planes
-    weights: Array  # int32: groups of weights, a row an output
-    bias: Array  # int32
-    layers: (
-        Array  # int64, (layers, 6): inputs of a group, groups, outputs rounded up to a multiple of HIGH, ...
-    )
-    tables: Array  # int32, (layers, 1024)
-    bytes: Array  # uint8, (layers, 1024): the same from the entry of 0 on, plus MIDDLE, for layers of quads
+    factors: Words2  # (choices, elements)
+    table: Sums2  # (rows, width)
+    picks: Sums2  # (rows, fields): the action of each row, where a row decides
+    indicator: Sums2  # (agents, width)
+    filters: Sums4  # (planes, 3 rows, 3 columns from last to first, filters)
+    filter_bias: Sums1
+    shape: Words  # rows, columns, planes
+    weights: Sums1  # groups of weights, a row an output
+    bias: Sums1
+    layers: Words2  # (layers, 6): inputs of a group, groups, outputs rounded up to a multiple of HIGH, ...
+    tables: Sums2  # (layers, 1024)
+    bytes: Bytes2  # (layers, 1024): the same from the entry of 0 on, plus MIDDLE, for layers of quads
     chooses: int  # GREATEST, DRAWN or LEVELS
-    counts: Array  # int64
+    counts: Words
     chance_shift: int
-    chances: Array  # int64
-    level: Array  # int64, (4, fields): multiplier, offset, low, high
+    chances: Words
+    level: Words2  # (4, fields): multiplier, offset, low, high
     level_shift: int
     draws: int
 
@@ -476,7 +484,11 @@ def _choose(
                 logits[first + s, j] = sums[j, s]
 
 
-def _act(net, elements, masks, draws, words, logits):  # type: ignore[no-untyped-def]
+_network_at = fields_at(Prepared)
+
+
+def _act(network, elements, masks, draws, words, logits):  # type: ignore[no-untyped-def]
+    net = _network_at(network)
     room = _room_for(net)
     for start in range(0, len(words), TILE):
         some = min(TILE, len(words) - start)
@@ -489,11 +501,10 @@ def _act(net, elements, masks, draws, words, logits):  # type: ignore[no-untyped
             _choose(net, room, start, some, masks, draws, words, logits)
 
 
-compiled_act = compiled_loop(_act, integer_vectors)
-"""Return what chooses an action for each agent: ``act(net, elements, masks, draws, words, logits)``.
+compiled_act = compiled_loop(_act, addresses, integer_vectors)
 
-``elements`` are the bytes of the elements of ``n`` agents of whole worlds; ``masks``, ``int8`` of shape
-``(n, n_actions)`` or of no rows; ``draws``, ``uint32`` of shape ``(n, net.draws)``. The words of actions are
-written to ``words``, ``int64`` of shape ``(n, fields)``, and logits to ``logits``, ``int32`` of shape
-``(n, outputs)`` or of no rows.
-"""
+
+def compiled(network: IntegerNetwork, elements: np.dtype[Any]) -> CompiledPolicy:
+    """Return a network as a rollout calls it, for elements of a dtype."""
+    fields, act = prepared(network, elements), address_of(compiled_act(), *ACT_ARGUMENTS)
+    return CompiledPolicy(act, in_memory(fields), network.draws, fields)

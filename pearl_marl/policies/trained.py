@@ -19,8 +19,10 @@ from pearl_marl.checks import is_number
 from pearl_marl.envs import registered_spec
 from pearl_marl.errors import ArgumentError, brief, one_line
 from pearl_marl.policies import policy_file
+from pearl_marl.policies.dense_policy import DenseNetwork
+from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.memory import MEMORY, Recall, acting
-from pearl_marl.policies.network import SHARING, Array, masked, most, networks
+from pearl_marl.policies.network import SHARING, Array, Network, is_dense, masked, most, networks
 from pearl_marl.spec import EnvSpec
 from pearl_marl.spec.elements import are_numbers, bounds
 
@@ -60,6 +62,11 @@ class _Trained(nn.Module):
     def function(self) -> Callable[..., Array]:
         """The policy as evaluations call it: :meth:`choose`, with ``forget`` where it remembers."""
         return self.choose
+
+    @property
+    def beside(self) -> DevicePolicy | None:
+        """The policy as rollouts on the CPU run it beside the environments; ``None`` if they do not."""
+        return None
 
     def act(self, obs: Tensor, masks: Tensor | None = None) -> Tensor:
         """Return the actions that it takes where it is used: the best, unless it says otherwise."""
@@ -180,6 +187,27 @@ class NetworkPolicy(_Trained):
     def function(self) -> Callable[..., Array]:
         """The policy as evaluations call it."""
         return Remembering(self) if self.remembers else self.choose
+
+    @property
+    def beside(self) -> DenseNetwork | None:
+        """See :class:`_Trained`; of small networks that choose the best of numbered actions."""
+        network, spec = self.network, self.spec
+        random = {"logits": self.temperature, "values": self.epsilon}.get(self.about["kind"], 1.0)
+        # Floats that are unpacked have no fixed point, and would be rounded.
+        rounded = spec.unpack is not None and spec.observation_dtype.kind == "f"
+        if random or rounded or not isinstance(network, Network) or not is_dense(network):
+            return None
+        nothing = torch.empty(1, *spec.observation_shape), torch.zeros(1, dtype=torch.int64)
+        observed = network.observed(*nothing)
+        offsets = network.encoder.offsets if network.encoder.kind == "numbers" else torch.zeros(0)
+        return DenseNetwork(
+            spec,
+            network.layers(),
+            observed.mean,
+            observed.scale,
+            offsets.long().numpy(),
+            tuple(self.heads) or (self.outputs,),
+        )
 
     @property
     def remembers(self) -> bool:

@@ -348,7 +348,8 @@ def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> tuple[float, 
         evaluation: Evaluation = match
         counted = match.seats
     else:
-        evaluation, counted = Evaluation(spec, policy.function, n, seed=seed), np.ones(n, np.bool_)
+        evaluation = Evaluation(spec, policy.beside or policy.function, n, seed=seed)
+        counted = np.ones(n, np.bool_)
     for _ in evaluation.run():
         pass
     returns = evaluation.returns[counted]

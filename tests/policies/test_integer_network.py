@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import pearl_marl
+from pearl_marl.compiler.addresses import in_memory
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.device_policy import Array
 from pearl_marl.policies.integer_loops import TILE, compiled_act, prepared
@@ -92,7 +93,8 @@ def check_compiled(network: IntegerNetwork) -> None:
     logits = np.zeros((0, 0) if choice.logits is None else choice.logits.shape, np.int32)
     no_masks = np.zeros((0, 0), np.int8)
     net, as_bytes = prepared(network, elements.dtype), elements.reshape(-1).view(np.uint8)
-    compiled_act()(net, as_bytes, no_masks if masks is None else masks, draws, words, logits)
+    at = in_memory(net)
+    compiled_act()(at.ctypes.data, as_bytes, no_masks if masks is None else masks, draws, words, logits)
     assert np.array_equal(words, choice.words)
     assert choice.logits is None or np.array_equal(logits, choice.logits)
     assert len(np.unique(words)) > 1
