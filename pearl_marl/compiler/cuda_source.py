@@ -162,15 +162,15 @@ Lines = list[str]
 
 def cuda_source(spec: EnvSpec) -> str:
     """Return the source of the kernels of ``spec``, for :mod:`pearl_marl.compiler.cuda_kernels` to load."""
-    return _Writer(spec).source(TEMPLATE)
+    return _KernelWriter(spec).source(TEMPLATE)
 
 
 def cuda_rollout_source(spec: EnvSpec) -> str:
     """Return the source of a rollout, which has a policy act by calling ``act``."""
-    return _Writer(spec).source(ROLLOUT)
+    return _KernelWriter(spec).source(ROLLOUT)
 
 
-class _Writer:
+class _KernelWriter:
     """Writes the kernels of one environment, as lines of source."""
 
     def __init__(self, spec: EnvSpec) -> None:
