@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.progress import track
 
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.benchmark.tables import Table
+from pearl_marl.benchmark.tables import MeasuredTable
 from pearl_marl.devices import BatchConfig, Rtl
 from pearl_marl.envs import get_spec
 from pearl_marl.experiments.calling import call
@@ -126,7 +126,7 @@ def main() -> None:
         build = found.environment, f"{found.n_envs:,}", f"{found.pe_num}", f"{found.data_wl}"
         rows.append((*build, *counts, f"{found.toggles_per_slot:,.1f}"))
     build, counts = ("environment", "slots", "PEs", "word"), ("register bits", "cycles", "toggles a step")
-    print(Table((*build, *counts, "a slot"), rows).markdown())
+    print(MeasuredTable((*build, *counts, "a slot"), rows).markdown())
 
 
 if __name__ == "__main__":

@@ -12,9 +12,7 @@ import json
 import tempfile
 import time
 import warnings
-from collections.abc import Callable
 from enum import StrEnum
-from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,6 +27,7 @@ from torchrl.envs import PettingZooWrapper, SerialEnv
 import pearl_marl
 from pearl_marl.base.files import replace_file
 from pearl_marl.experiments.calling import call
+from pearl_marl.experiments.cpu_clock import CPUClock
 from pearl_marl.wrappers.benchmarl import PearlTask
 from pearl_marl.wrappers.torchrl import TorchRLEnv
 
@@ -79,26 +78,6 @@ class PettingZooTask(PearlTask):
             return PettingZooWrapper(env, seed=seed, device=device)
 
         return make
-
-
-class Clock:
-    """Adds up the CPU seconds of methods."""
-
-    def __init__(self, owner: Any, names: tuple[str, ...]) -> None:
-        self.seconds = 0.0
-        for name in names:
-            setattr(owner, name, self._timed(getattr(owner, name)))
-
-    def _timed(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        @wraps(function)
-        def timed(*args: Any, **kwargs: Any) -> Any:
-            began = time.process_time()
-            try:
-                return function(*args, **kwargs)
-            finally:
-                self.seconds += time.process_time() - began
-
-        return timed
 
 
 class Curve(Callback):  # type: ignore[misc]
@@ -161,8 +140,10 @@ def main(
     """Learn, print the curve and the shares, and write both into a file of the algorithm's name."""
     torch.set_num_threads(1)
     warnings.simplefilter("ignore")  # TorchRL and BenchMARL tell of their own coming changes
-    stepping = Clock(*STEPPING[through])
-    inside = Clock(pearl_marl.PearlParallelEnv, INSIDE[through])
+    stepping, inside = CPUClock(), CPUClock()
+    owner, methods = STEPPING[through]
+    stepping.time(owner, *methods)
+    inside.time(pearl_marl.PearlParallelEnv, *INSIDE[through])
     curve = Curve()
     settings = CONFIGS[algorithm].get_from_yaml()
     if algorithm in ("mappo", "ippo"):

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pearl_marl.benchmark.tables import Table
+from pearl_marl.benchmark.tables import MeasuredTable
 
 TRAININGS: dict[str, tuple[str, ...]] = {
     "CliffWalking": ("--algo", "q-learning"),
@@ -66,7 +66,7 @@ def main(
         rows.append(row(pearl("quantize", str(run), "--n-agents", str(n_agents)), arguments[1]))
         print(*rows[-1], flush=True)
     headings = ("", "trained by", "return", "in integers", "change", "95 % confidence")
-    print(Table(headings, rows, (0, 1)).markdown())
+    print(MeasuredTable(headings, rows, (0, 1)).markdown())
 
 
 if __name__ == "__main__":

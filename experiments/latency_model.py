@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import track
 
 from pearl_marl.batch.actions import random_actions
-from pearl_marl.benchmark.tables import Table
+from pearl_marl.benchmark.tables import MeasuredTable
 from pearl_marl.devices import BatchConfig, Rtl
 from pearl_marl.envs import get_spec
 from pearl_marl.experiments.calling import call
@@ -65,7 +65,7 @@ def main() -> None:
         form = "" if pipelined else ", serial"
         rows.append((f"{env_id}{form}", *(f"{figure:,}" for figure in figures), f"{error:+.1%}"))
     headings = "environment", "slots", "PEs", "word", "a step", "model", "over AXI", "model", "off by"
-    print(Table(headings, rows).markdown())
+    print(MeasuredTable(headings, rows).markdown())
     print(f"\nThe largest error is {worst:.1%}.")
 
 

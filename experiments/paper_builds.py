@@ -19,7 +19,7 @@ from rich.progress import track
 
 from pearl_marl.base.files import replace_file
 from pearl_marl.benchmark.paper import TABLE_2
-from pearl_marl.benchmark.tables import Table
+from pearl_marl.benchmark.tables import MeasuredTable
 from pearl_marl.envs import get_spec
 from pearl_marl.experiments.calling import call
 from pearl_marl.hardware.build import Build
@@ -104,7 +104,7 @@ def main() -> None:
         for name in TABLE_2
     ]
     headings = "environment", "slots", "PEs", "word", "LUT", "FF", "BRAM36", "DSP", "on a VC707"
-    print(Table(headings, rows, text=(0, 8)).markdown())
+    print(MeasuredTable(headings, rows, text=(0, 8)).markdown())
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from pearl_marl.benchmark.paper import TABLE_2
-from pearl_marl.benchmark.tables import Table
+from pearl_marl.benchmark.tables import MeasuredTable
 from pearl_marl.experiments import paper_builds
 from pearl_marl.experiments.calling import call
 from pearl_marl.hardware.boards import BOARDS
@@ -90,7 +90,7 @@ def main() -> None:
             cells += [f"{step.rate / 1e6:.3g} M", f"{step.device * 1e6:,.1f} us"]
         rows.append([*cells, f"{found.factor:.3g}", f"{found.fits.text} ({found.fits.source})"])
     build, forms = ("environment", "slots", "PEs", "word"), ("with", "T3 to T5", "without", "T3 to T5")
-    print(Table((*build, *forms, "factor", "on a VC707"), rows, text=(0, 9)).markdown())
+    print(MeasuredTable((*build, *forms, "factor", "on a VC707"), rows, text=(0, 9)).markdown())
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from pearl_marl.benchmark.tables import Table, duration, rate
+from pearl_marl.benchmark.tables import MeasuredTable, duration, rate
 from pearl_marl.envs import get_spec, names
 from pearl_marl.experiments import paper_builds, pipeline
 from pearl_marl.experiments.calling import call
@@ -45,7 +45,7 @@ _HEADINGS_LINK = "slots | T1 | T2 | T3 to T5 | T6 | T7 | a step | steps/s | two 
 
 
 def _print(title: str, headings: str, rows: Iterable[tuple[str, ...]]) -> None:
-    print(f"\n{title}\n\n{Table(headings.split(' | '), list(rows), text=()).markdown()}")
+    print(f"\n{title}\n\n{MeasuredTable(headings.split(' | '), list(rows), text=()).markdown()}")
 
 
 def _defaults() -> Iterable[tuple[str, ...]]:

@@ -25,7 +25,7 @@ from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation.machine import machine
 from pearl_marl.rendering import import_pyplot, save_figure
 
-from .section import KINDS, Progress, Row, Section, having
+from .section import KINDS, Progress, ReportSection, Row, having
 
 SECTIONS = (
     *("figure3", "equations", "figure6", "table3", "figure7", "figure8", "figure9", "table1", "table2"),
@@ -98,7 +98,7 @@ def report(
     return made
 
 
-def load(name: str) -> Section:
+def load(name: str) -> ReportSection:
     """Return a section's module.
 
     Raises
@@ -107,7 +107,7 @@ def load(name: str) -> Section:
         A package that it needs is missing.
     """
     try:
-        return cast(Section, importlib.import_module(f"{__package__}.{name}"))
+        return cast(ReportSection, importlib.import_module(f"{__package__}.{name}"))
     except ModuleNotFoundError as error:
         raise ArgumentError(f"it needs the Python package {error.name}: pip install '.[report]'") from None
 
@@ -223,21 +223,21 @@ def _entry(folder: Path, name: str, data: dict[str, Any] | None, problem: str | 
     }
 
 
-class Cell(NamedTuple):
+class PageCell(NamedTuple):
     """What a cell of the page shows, and the number behind it."""
 
     text: str
     number: str | None
 
 
-def _cell(value: Any) -> Cell:
+def _cell(value: Any) -> PageCell:
     if isinstance(value, bool):
         value = "yes" if value else "no"
     if value is None or isinstance(value, str):
-        return Cell(value or "", None)
+        return PageCell(value or "", None)
     if isinstance(value, int):
-        return Cell(f"{value:,}", repr(value))
+        return PageCell(f"{value:,}", repr(value))
     for factor, prefix in ((1e9, " G"), (1e6, " M"), (1e4, " k")):
         if abs(value) >= factor:
-            return Cell(f"{value / (1e3 if prefix == ' k' else factor):.4g}{prefix}", repr(value))
-    return Cell(f"{value:.4g}" if abs(value) < 1000 else f"{value:,.0f}", repr(value))
+            return PageCell(f"{value / (1e3 if prefix == ' k' else factor):.4g}{prefix}", repr(value))
+    return PageCell(f"{value:.4g}" if abs(value) < 1000 else f"{value:,.0f}", repr(value))

@@ -12,7 +12,6 @@ import json
 import statistics
 import time
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,38 +25,20 @@ import pearl_marl
 from pearl_marl.base.files import replace_file
 from pearl_marl.devices import Native
 from pearl_marl.experiments.calling import call
+from pearl_marl.experiments.cpu_clock import CPUClock
 
 console = Console()
 
 
-class Clock:
-    """Adds up the CPU seconds of the functions it is put around."""
-
-    def __init__(self) -> None:
-        self.seconds = 0.0
-
-    def around(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return the function, timed."""
-
-        def timed(*args: Any, **kwargs: Any) -> Any:
-            began = time.process_time()
-            try:
-                return function(*args, **kwargs)
-            finally:
-                self.seconds += time.process_time() - began
-
-        return timed
-
-
-class Rollout:
+class RolloutTiming:
     """PPO about to collect rollouts from one vector environment."""
 
     def __init__(self, name: str, env: Any, vec_env: Any, steps: int) -> None:
         self.name, self.n, self.steps = name, vec_env.num_envs, steps
-        self.inside, self.stepping = Clock(), Clock()
-        vec_env.step = self.stepping.around(vec_env.step)
+        self.inside, self.stepping = CPUClock(), CPUClock()
+        self.stepping.time(vec_env, "step")
         # SuperSuit steps a copy, so of its chain the environment's part is not told apart.
-        env.step_batch = self.inside.around(env.step_batch)
+        self.inside.time(env, "step_batch")
         # A chain with no seed() cannot take one here.
         self.model = stable_baselines3.PPO("MlpPolicy", vec_env, n_steps=steps, batch_size=1024)
         _, self.callback = self.model._setup_learn(1)
@@ -110,7 +91,7 @@ def main(
         contenders = []
         for name, chain in (("ours", pearl_marl.wrappers.sb3_vec_env), ("SuperSuit", supersuit_chain)):
             env = pearl_marl.parallel_env(env_id, n, device=Native(threads=1))
-            contenders.append(Rollout(name, env, chain(env), steps))
+            contenders.append(RolloutTiming(name, env, chain(env), steps))
         for _ in range(rounds + 1):
             for contender in contenders:
                 contender.collect()

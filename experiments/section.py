@@ -1,7 +1,7 @@
-"""What a section of ``pearl report`` is: a module of this package with the attributes of :class:`Section`.
+"""A section of ``pearl report``: a module of this package with the attributes of :class:`ReportSection`.
 
 To add one, write the module and put its name into ``SECTIONS`` of ``report.py``. Everything that it shows,
-picture and table alike, is made of the rows that :meth:`Section.collect` returned: these are what is kept.
+picture and table alike, is made of the rows that its ``collect()`` returned: these are what is kept.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Progress(Protocol):
         ...
 
 
-class Section(Protocol):
+class ReportSection(Protocol):
     """A table or a figure; its name is that of its module, and of its files."""
 
     TITLE: str

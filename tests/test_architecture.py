@@ -1,7 +1,7 @@
-"""The order of the layers (``ROOMS``): what may import what, in code, in type annotations, and by string.
+"""The order of the layers: what may import what, in code, in type annotations, and by string.
 
-``docs/architecture.md`` lists them. These tests enforce it: a layer imports only layers below it, no files
-import each other in a circle, and no module uses another one's private names.
+The table in ``docs/architecture.md`` is the order. These tests enforce it: a layer imports only layers below
+it, no files import each other in a circle, and no module uses another one's private names.
 """
 
 from __future__ import annotations
@@ -15,29 +15,20 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 
-ROOMS = (
-    *(
-        "rtl",
-        "errors",
-        "checks",
-        "base",
-        "golden",
-        "rng",
-        "reals",
-        "fixed_point",
-        "planes",
-        "layout",
-        "spec",
-        "envs",
-    ),
-    *("memory_map", "batch", "rendering", "compiler", "policies", "hardware", "devices"),
-    *("verification", "latency", "plan", "evaluation", "interfaces", "wrappers"),
-    *("porting", "testing", "training", "benchmark", "experiments", "cli", "__main__"),
-)
-"""From the lowest up. The package itself, ``pearl_marl/__init__.py``, is above all: no module imports it."""
+LAYERS = [
+    re.findall(r"`(\w+)(?:/|\.py)`", line.split("|")[1])
+    for line in (ROOT / "docs" / "architecture.md").read_text().splitlines()
+    if line.startswith("| `")
+][::-1]
+"""From the lowest up, of what each consists: folders, and files at the top of the package.
+
+The package itself, ``pearl_marl/__init__.py``, is above all: no module imports it.
+"""
+
+HEIGHTS = {part: height for height, layer in enumerate(LAYERS) for part in layer}
 
 OUTSIDE = ("rtl", "envs", "wrappers", "experiments")
-"""Folders of the repository that are linked into the package as rooms of it."""
+"""Folders of the repository that are linked into the package."""
 
 SCRIPTS = {"benchmarl_foraging", "cliff_walking_q_learning", "sb3_rollout", "sb3_training"}
 """Experiments that are programs of their own: they import the package itself, as a user does."""
@@ -110,14 +101,15 @@ def graph() -> dict[str, set[str]]:
     }
 
 
-def room(module: str) -> str:
+def top(module: str) -> str:
+    """Return the folder or file at the top of the package that a module is in."""
     return module.partition(".")[0]
 
 
 def upward(module: str, others: set[str]) -> list[str]:
-    """Return the imports of a module that do not lead down, or stay in its room."""
-    height = ROOMS.index(room(module))
-    return [other for other in sorted(others) if other == "__init__" or ROOMS.index(room(other)) > height]
+    """Return the imports of a module that do not lead down, or stay in its layer."""
+    height = HEIGHTS[top(module)]
+    return [other for other in sorted(others) if other == "__init__" or HEIGHTS[top(other)] > height]
 
 
 def circles(edges: dict[str, set[str]]) -> list[list[str]]:
@@ -148,8 +140,10 @@ def circles(edges: dict[str, set[str]]) -> list[list[str]]:
     return found
 
 
-def test_every_module_has_a_room() -> None:
-    assert {room(module) for module in MODULES} - {"__init__"} == set(ROOMS)
+def test_every_module_is_in_one_layer() -> None:
+    assert sorted({top(module) for module in MODULES} - {"__init__"}) == sorted(
+        part for layer in LAYERS for part in layer
+    )
 
 
 def test_imports_lead_down() -> None:
@@ -190,9 +184,26 @@ def test_a_circle_is_seen() -> None:
 
 
 def test_experiments_are_imported_by_the_report_alone() -> None:
-    inside = {module: others for module, others in graph().items() if room(module) != "experiments"}
-    users = {module for module, others in inside.items() if any(room(o) == "experiments" for o in others)}
+    inside = {module: others for module, others in graph().items() if top(module) != "experiments"}
+    users = {module for module, others in inside.items() if any(top(o) == "experiments" for o in others)}
     assert users == {"cli.report"}
+
+
+# ---- Names of classes ----
+
+AUTHORS = {"State", "View"}
+"""What authors call the classes of an environment; only environments have them."""
+
+
+def test_no_classes_share_a_name() -> None:
+    places: dict[str, list[str]] = {}
+    for module, path in sorted(MODULES.items()):
+        own = AUTHORS if top(module) == "envs" else set()
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef) and node.name not in own:
+                places.setdefault(node.name, []).append(module)
+    assert len(places) > 400
+    assert {name: modules for name, modules in places.items() if len(modules) > 1} == {}
 
 
 # ---- Private names ----

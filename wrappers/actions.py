@@ -21,7 +21,7 @@ from .base import Env, box, checked, differing, wrap
 from .transform import Rows, Transform
 
 
-class _Mapped(Transform):
+class _MappedActions(Transform):
     """Actions through a function of whole batches."""
 
     def __init__(
@@ -34,7 +34,7 @@ class _Mapped(Transform):
         return self._change(actions)
 
 
-class _Checked(_Mapped):
+class _Checked(_MappedActions):
     """Refuses what is not in the space shown, which the environment inside would not know of."""
 
     def actions(self, actions: Array) -> Array:
@@ -105,7 +105,7 @@ def scale_actions_v0(env: Env, scale: float) -> Any:
         old = box(action_space, "scale_actions_v0", "actions")
         checked_number("scale", scale, above=0)
         new = Box(old.low * scale, old.high * scale, dtype=np.float32)
-        return _Mapped(batch, space, new, partial(np.multiply, scale))
+        return _MappedActions(batch, space, new, partial(np.multiply, scale))
 
     return wrap(env, make)
 

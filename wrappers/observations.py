@@ -25,7 +25,7 @@ from .transform import Rows, Transform
 Change = Callable[[Array], Array]
 
 
-class _Mapped(Transform):
+class _MappedObservations(Transform):
     """Observations through a function of whole batches."""
 
     def __init__(
@@ -46,7 +46,7 @@ def _mapped(env: Env, name: str, change: Change) -> Any:
         low, high = (change(bound[None])[0] for bound in (old.low, old.high))
         if (low > high).any():  # it may be cast to a type that does not hold it
             raise ArgumentError(f"{name} would make {low} and {high} of the bounds of {old}: low above high")
-        return _Mapped(batch, Box(low, high, dtype=low.dtype.type), action_space, change)
+        return _MappedObservations(batch, Box(low, high, dtype=low.dtype.type), action_space, change)
 
     return wrap(env, make)
 
@@ -80,11 +80,11 @@ def observation_lambda_v0(
                 )
         change = partial(_by_function, change_observation_fn, space, new_space)
         if new_space is not None:
-            return _Mapped(batch, new_space, action_space, change)
+            return _MappedObservations(batch, new_space, action_space, change)
         old = box(space, "observation_lambda_v0 without change_obs_space_fn")
         ends = np.stack([change(bound[None])[0] for bound in (old.low, old.high)])
         new = Box(ends.min(0), ends.max(0), dtype=ends.dtype.type)
-        return _Mapped(batch, new, action_space, change)
+        return _MappedObservations(batch, new, action_space, change)
 
     return wrap(env, make)
 
@@ -157,7 +157,7 @@ def normalize_obs_v0(env: Env, env_min: float = 0.0, env_max: float = 1.0) -> An
         new_size, new_low = old.dtype.type(env_max - env_min), old.dtype.type(env_min)
         scale = old.low.ravel(), (old.high - old.low).ravel(), new_size, new_low
         new_space = Box(env_min, env_max, old.shape, old.dtype.type)
-        return _Mapped(batch, new_space, action_space, partial(_rescaled, Recycler(), scale))
+        return _MappedObservations(batch, new_space, action_space, partial(_rescaled, Recycler(), scale))
 
     return wrap(env, make)
 
@@ -254,11 +254,11 @@ def agent_indicator_v0(env: Env, type_only: bool = False) -> Any:
         count = int(which.max()) + 1
         if isinstance(space, Discrete):
             numbered, change = _numbered(space, count, which)
-            return _Mapped(batch, numbered, action_space, change)
+            return _MappedObservations(batch, numbered, action_space, change)
         share = which[:, None] / max(n - 1, 1)
         numbers = share if k == 1 else (which[:, None] == np.arange(count)).astype(np.float64)
         new_space, change = _with_numbers(box(space, "agent_indicator_v0"), numbers)
-        return _Mapped(batch, new_space, action_space, change)
+        return _MappedObservations(batch, new_space, action_space, change)
 
     return wrap(env, make)
 

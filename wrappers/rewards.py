@@ -18,7 +18,7 @@ from .base import Env, wrap
 from .transform import Transform
 
 
-class _Mapped(Transform):
+class _MappedRewards(Transform):
     def __init__(
         self, batch: Batch, space: Space[Any], action_space: Any, change: Callable[[Array], Array]
     ) -> None:
@@ -32,7 +32,7 @@ class _Mapped(Transform):
 def reward_lambda_v0(env: Env, change_reward_fn: Callable[[Array], Array]) -> Any:
     """Change rewards by a function of the whole batch, ``float32`` of shape ``(n,)`` to as many numbers."""
     checked_function("change_reward_fn", change_reward_fn)
-    return wrap(env, _Mapped, partial(_by_function, change_reward_fn))
+    return wrap(env, _MappedRewards, partial(_by_function, change_reward_fn))
 
 
 def _by_function(change_reward_fn: Callable[[Array], Array], rewards: Array) -> Array:
@@ -68,4 +68,4 @@ def clip_reward_v0(env: Env, lower_bound: float = -1, upper_bound: float = 1) ->
             f"lower_bound is {lower_bound}, upper_bound {upper_bound}; they are the wrong way round"
         )
     low, high = np.float32(lower_bound), np.float32(upper_bound)
-    return wrap(env, _Mapped, partial(np.clip, a_min=low, a_max=high))
+    return wrap(env, _MappedRewards, partial(np.clip, a_min=low, a_max=high))

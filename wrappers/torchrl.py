@@ -53,7 +53,7 @@ def to_torchrl(env: Any, *, state: bool = False) -> TorchRLEnv:
     return TorchRLEnv(_checked(env), state)
 
 
-class _Group(NamedTuple):
+class _RoleGroup(NamedTuple):
     """The agents of one role."""
 
     role: Role
@@ -234,15 +234,15 @@ def _checked(env: Any) -> PearlParallelEnv:
     return env
 
 
-def _groups(env: PearlParallelEnv) -> dict[str, _Group]:
+def _groups(env: PearlParallelEnv) -> dict[str, _RoleGroup]:
     """Return the groups of a world's agents by their names."""
     roles = env.batch.world.roles
     if not roles:
         space = env.batch.observation_space, env.batch.action_space
-        return {"agents": _Group(Role("agent", *space), list(range(env.agents_per_world)))}
-    groups: dict[str, _Group] = {}
+        return {"agents": _RoleGroup(Role("agent", *space), list(range(env.agents_per_world)))}
+    groups: dict[str, _RoleGroup] = {}
     for member, role in enumerate(roles):
-        group = groups.setdefault(role.name, _Group(role, []))
+        group = groups.setdefault(role.name, _RoleGroup(role, []))
         if group.role != role:
             raise ArgumentError(
                 f"two roles are named {role.name!r} and differ in their spaces, which a group has in common: "

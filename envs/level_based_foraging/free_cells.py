@@ -15,7 +15,7 @@ HALVES = 0x5555555555555555, 0x3333333333333333
 BYTES = 0x0F0F0F0F0F0F0F0F
 
 
-class Grid(NamedTuple):
+class CellWords(NamedTuple):
     """How the cells of a grid lie in words."""
 
     size: int

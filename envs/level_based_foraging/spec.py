@@ -15,7 +15,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec, Grid
 
 from .picture import make_draw
-from .step import LOADED, Rules, make_golden, rewards
+from .step import LOADED, ForagingRules, make_golden, rewards
 
 SIZES, PLAYERS, FOODS, LEVELS = (3, 32), (1, 16), (1, 16), (1, 255)
 MOST_REWARDS = 1 << 16
@@ -87,7 +87,7 @@ def configure(
     size = _size(field_size)
     least_food = _levels("min_food_level", min_food_level, max_num_food)
     most_food = None if max_food_level is None else _levels("max_food_level", max_food_level, max_num_food)
-    rules = Rules(
+    rules = ForagingRules(
         size=size,
         player_levels=_ranges(
             "player",
@@ -136,7 +136,7 @@ def configure(
     )
 
 
-def observation_space(rules: Rules) -> Box:
+def observation_space(rules: ForagingRules) -> Box:
     """Return the package's space of one player's observations."""
     last = rules.size - 1
     low = [-1, -1, 0] * rules.foods + [-1, -1, 0][: 2 + rules.shows_levels] * rules.players
@@ -145,7 +145,7 @@ def observation_space(rules: Rules) -> Box:
     return Box(np.array(low, np.float32), np.array(high, np.float32), dtype=np.float32)
 
 
-def grid(rules: Rules) -> Grid:
+def grid(rules: ForagingRules) -> Grid:
     """Return where players are who see where they are."""
     row = 3 * rules.foods
 
@@ -183,7 +183,7 @@ def _ranges(of: str, least: Sequence[int], most: Sequence[T]) -> tuple[tuple[int
     return tuple(zip(least, most, strict=True))
 
 
-def _check_together(rules: Rules) -> None:
+def _check_together(rules: ForagingRules) -> None:
     """Refuse what is possible of each option, and not of all together."""
     if rules.players > rules.size**2:
         raise ArgumentError(

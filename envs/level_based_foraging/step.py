@@ -26,7 +26,7 @@ from pearl_marl.golden import Draws, Word, another, inserted
 from pearl_marl.layout import Array, Bits, Range, Signed
 from pearl_marl.spec import Golden
 
-from .free_cells import Grid, count_of
+from .free_cells import CellWords, count_of
 
 NORTH, SOUTH, WEST, EAST, LOAD = range(1, 6)
 NOTHING, FAILED, LOADED = 0, 1, 2
@@ -38,7 +38,7 @@ FAR = -2
 """A row that no cell is in or beside."""
 
 
-class Rules(NamedTuple):
+class ForagingRules(NamedTuple):
     """What the options come to."""
 
     size: int
@@ -103,7 +103,7 @@ def differ(levels: Sequence[object]) -> bool:
     return len(set(levels)) > 1
 
 
-def rewards(rules: Rules, penalty: float) -> tuple[float, ...]:
+def rewards(rules: ForagingRules, penalty: float) -> tuple[float, ...]:
     """Return the reward of each category.
 
     Beside nothing and the penalty it is the player's level times the food's. Normalized, it is divided by the
@@ -115,9 +115,9 @@ def rewards(rules: Rules, penalty: float) -> tuple[float, ...]:
     return 0.0, 0 - penalty, *loaded
 
 
-def make_golden(rules: Rules) -> Golden:
+def make_golden(rules: ForagingRules) -> Golden:
     """Return the state of a game and its golden functions."""
-    size, last, grid = rules.size, rules.size - 1, Grid(rules.size)
+    size, last, grid = rules.size, rules.size - 1, CellWords(rules.size)
     weakest, strongest = zip(*rules.player_levels, strict=True)
     lightest, heaviest = zip(*rules.food_levels, strict=True)
     most_levels = max(most - least for least, most in rules.player_levels) + 1

@@ -20,7 +20,7 @@ from typing import TypeAlias
 
 from pearl_marl.golden import Word
 
-from .rules import Rules
+from .rules import WarehouseRules
 from .ties import second_goes_first
 
 MOST = 4
@@ -32,7 +32,7 @@ Flags: TypeAlias = Sequence[Word]
 Ties: TypeAlias = Sequence[Sequence[Sequence[int]]]
 
 
-def make_ties(rules: Rules) -> Ties:
+def make_ties(rules: WarehouseRules) -> Ties:
     """Return whether the second of two robots goes first, by their directions and the cell that they want."""
     cells = [(number % rules.stride, number // rules.stride) for number in range(1 << rules.cell_bits)]
 

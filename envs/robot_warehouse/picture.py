@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .moves import AHEAD
-from .rules import Rules
+from .rules import WarehouseRules
 from .step import NONE
 
 CELL = 32
@@ -22,7 +22,7 @@ GOAL, SHELF, ASKED = (60, 60, 60), (110, 90, 200), (0, 150, 140)
 ROBOT, LOADED = (240, 150, 0), (200, 40, 40)
 
 
-def make_draw(rules: Rules) -> Callable[[Any], npt.NDArray[np.uint8]]:
+def make_draw(rules: WarehouseRules) -> Callable[[Any], npt.NDArray[np.uint8]]:
     """Return what draws a state; it needs Pillow."""
 
     def draw(state: Any) -> npt.NDArray[np.uint8]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from pearl_marl.golden import Word
 
 
-class Rules(NamedTuple):
+class WarehouseRules(NamedTuple):
     """What the options come to.
 
     A cell's number is ``y * stride + x``. A stride is as much longer than a row as robots see to the side, so

@@ -14,7 +14,7 @@ from pearl_marl.spec import EnvSpec, Grid
 
 from .moves import MOST
 from .picture import make_draw
-from .rules import Rules
+from .rules import WarehouseRules
 from .step import make_golden
 
 SIZES = {"tiny": (1, 3), "small": (2, 3), "medium": (2, 5), "large": (3, 5)}
@@ -95,10 +95,10 @@ def rules_of(
     column_height: int,
     sensor_range: int,
     reward_type: str,
-) -> Rules:
+) -> WarehouseRules:
     """Return the warehouse of some options; ArgumentError says which one is not possible."""
     ties = ": with more, rware breaks ties in ways that this package does not reproduce"
-    rules = Rules(
+    rules = WarehouseRules(
         *SIZES[checked_choice("size", size, SIZES)],
         column_height=checked_integer("column_height", column_height, *HEIGHTS),
         robots=checked_integer("robots", robots, 1, MOST, ties),
@@ -113,7 +113,7 @@ def rules_of(
     )
 
 
-def grid(rules: Rules) -> Grid:
+def grid(rules: WarehouseRules) -> Grid:
     """Return where robots are who see where they are."""
 
     def cell(observations: npt.NDArray[Any]) -> npt.NDArray[Any]:

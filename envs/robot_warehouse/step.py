@@ -20,7 +20,7 @@ from pearl_marl.layout import Array, Bits, Flag, Range
 from pearl_marl.spec import Golden
 
 from .moves import make_ties, movers
-from .rules import Rules
+from .rules import WarehouseRules
 
 FORWARD, TURN_LEFT, TURN_RIGHT, TOGGLE = range(1, 5)
 UP, DOWN, LEFT, RIGHT = range(4)
@@ -34,7 +34,7 @@ Robot: TypeAlias = Any
 """A robot of a state."""
 
 
-def make_golden(rules: Rules) -> Golden:
+def make_golden(rules: WarehouseRules) -> Golden:
     """Return the state of a warehouse and its golden functions."""
     sight, beside = rules.sight, range(2 * rules.sight + 1)
     rack_row, rack_column = rack_tables(rules)
@@ -160,7 +160,7 @@ def make_golden(rules: Rules) -> Golden:
     return Golden(State, initial, step, observe, view=View)
 
 
-def rack(rules: Rules, number: Word) -> Word:
+def rack(rules: WarehouseRules, number: Word) -> Word:
     """Return the cell of a rack by its number, from the top left to the bottom right."""
     cell, before, widest = 0, 0, len(rules.rack_columns[0])
     for columns, rows in zip(rules.rack_columns, rules.rack_rows, strict=True):
@@ -177,7 +177,7 @@ def rack(rules: Rules, number: Word) -> Word:
     return cell
 
 
-def rack_tables(rules: Rules, margin: int = 0) -> tuple[list[int], list[int]]:
+def rack_tables(rules: WarehouseRules, margin: int = 0) -> tuple[list[int], list[int]]:
     """Return tables by row and column: where they have a bit in common there is a rack.
 
     A table has an entry for each number, and for so many neighbours to each side.
@@ -230,7 +230,7 @@ def carried(
 
 
 def delivered(
-    rules: Rules,
+    rules: WarehouseRules,
     requests: Sequence[Word],
     racks: Sequence[Word],
     robots: Sequence[Robot],
@@ -263,7 +263,7 @@ def delivered(
     return now, [total] * len(robots) if rules.reward == "global" else brought, brought
 
 
-def unasked(rules: Rules, rank: Word, asked: Sequence[Word]) -> Word:
+def unasked(rules: WarehouseRules, rank: Word, asked: Sequence[Word]) -> Word:
     """Return the rack of this rank among those whose shelves are not asked for; ``asked`` is in order."""
     for number in asked:
         rank += rack(rules, rank) >= number

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 
-class Column(NamedTuple):
+class PaperColumn(NamedTuple):
     """A column of the table: widths in bits, processing elements, and ``c_c`` in ns."""
 
     state: int
@@ -27,10 +27,10 @@ class Column(NamedTuple):
 
 
 TABLE_2 = {
-    "CliffWalking": Column(8, 2, 8, 1, 1024, 256, 20),
-    "Blackjack": Column(152, 1, 16, 2, 512, 256, 80),
-    "CartPole": Column(128, 1, 128, 1, 32, 20, 800),
-    "Pendulum": Column(64, 32, 96, 32, 32, 24, 960),
-    "Seaquest": Column(736, 3, 512, 32, 1024, 16, 80),
+    "CliffWalking": PaperColumn(8, 2, 8, 1, 1024, 256, 20),
+    "Blackjack": PaperColumn(152, 1, 16, 2, 512, 256, 80),
+    "CartPole": PaperColumn(128, 1, 128, 1, 32, 20, 800),
+    "Pendulum": PaperColumn(64, 32, 96, 32, 32, 24, 960),
+    "Seaquest": PaperColumn(736, 3, 512, 32, 1024, 16, 80),
 }
 TABLE_2_SOURCE = "the paper, Table II"

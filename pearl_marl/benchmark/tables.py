@@ -27,7 +27,7 @@ OTHER_PEERS = {
 """The peers besides EnvPool in the table of all environments: contenders, and the words for them there."""
 
 
-class Table(NamedTuple):
+class MeasuredTable(NamedTuple):
     """Headings and rows; ``text`` are the numbers of the columns that hold text and no figures."""
 
     headings: Sequence[str]
@@ -41,11 +41,11 @@ class Table(NamedTuple):
         return "\n".join(f"| {line} |".replace("|  |", "| |") for line in lines)
 
 
-def steps_table(contenders: Iterable[Contender]) -> Table:
+def steps_table(contenders: Iterable[Contender]) -> MeasuredTable:
     """Return a row for each contender in one environment; those that are unavailable are left out."""
     measured = [contender for contender in contenders if contender.unavailable is None]
     envpool = next((contender.rate for contender in measured if contender.name == ENVPOOL), None)
-    return Table(
+    return MeasuredTable(
         ("", "agents", "agent-steps/s", "one step of all", "over EnvPool", "what is counted"),
         [
             (
@@ -62,10 +62,10 @@ def steps_table(contenders: Iterable[Contender]) -> Table:
     )
 
 
-def rollouts_table(contenders: Iterable[Contender]) -> Table:
+def rollouts_table(contenders: Iterable[Contender]) -> MeasuredTable:
     """Return a row for each way to act and step; ``x`` is what the first one does over it."""
     first, *others = (contender for contender in contenders if contender.unavailable is None)
-    return Table(
+    return MeasuredTable(
         ("", "policy steps/s", "x", "of a core", "x", "what is counted"),
         [
             (
@@ -82,7 +82,7 @@ def rollouts_table(contenders: Iterable[Contender]) -> Table:
     )
 
 
-def environments_table(environments: Iterable[tuple[str, Iterable[Contender]]]) -> Table:
+def environments_table(environments: Iterable[tuple[str, Iterable[Contender]]]) -> MeasuredTable:
     """Return a row for each environment: our rates, then EnvPool's and the best other's, and x of each."""
     rows = []
     for name, contenders in environments:
@@ -93,12 +93,12 @@ def environments_table(environments: Iterable[tuple[str, Iterable[Contender]]]) 
             there = peer in rates
             cells += [rate(rates[peer]) + label, times(rates[BATCH] / rates[peer])] if there else ["-", "-"]
         rows.append(cells)
-    return Table(("", KERNEL, BATCH, "EnvPool", "x", "best other", "x"), rows)
+    return MeasuredTable(("", KERNEL, BATCH, "EnvPool", "x", "best other", "x"), rows)
 
 
-def growth_table(points: Iterable[Point]) -> Table:
+def growth_table(points: Iterable[Point]) -> MeasuredTable:
     """Return a row for each environment and number of agents, in nanoseconds for each agent."""
-    return Table(
+    return MeasuredTable(
         ("", "agents", "step_batch, ns", "writing, ns", "x"),
         [
             (p.subject, f"{p.n_agents:,}", f"{p.step:.2f}", f"{p.write:.2f}", f"{p.step / p.write:.1f}")
@@ -107,7 +107,7 @@ def growth_table(points: Iterable[Point]) -> Table:
     )
 
 
-def training_table(summaries: Iterable[dict[str, Any]]) -> Table:
+def training_table(summaries: Iterable[dict[str, Any]]) -> MeasuredTable:
     """Return a row for each trainer of one or several tasks; those without figures are left out."""
     rows, tasks = [], set()
     for row in summaries:
@@ -115,7 +115,7 @@ def training_table(summaries: Iterable[dict[str, Any]]) -> Table:
             name = row["contender"]
             rows.append((name if row["task"] in tasks else f"**{row['task']}**: {name}", *_trained(row)))
             tasks.add(row["task"])
-    return Table(("", "agent-steps/s", "x", "seconds to the goal", "x"), rows, (0, 2, 4))
+    return MeasuredTable(("", "agent-steps/s", "x", "seconds to the goal", "x"), rows, (0, 2, 4))
 
 
 def _trained(row: dict[str, Any]) -> Iterable[str]:

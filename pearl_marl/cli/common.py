@@ -25,7 +25,7 @@ from pearl_marl.errors import ArgumentError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pearl_marl.benchmark.tables import Table as MeasuredTable
+    from pearl_marl.benchmark.tables import MeasuredTable
     from pearl_marl.policies.device_policy import DevicePolicy
     from pearl_marl.spec import EnvSpec
 

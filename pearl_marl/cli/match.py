@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 from rich.markup import escape
 
-from pearl_marl.benchmark.tables import Table
+from pearl_marl.benchmark.tables import MeasuredTable
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console
 from pearl_marl.cli.evaluating import (
@@ -97,9 +97,9 @@ def command(
         console.print(f"{escape(device)} is bit-exact with {REFERENCE}.", style="bold green")
 
 
-def _pairs(rows: list[dict[str, Any]]) -> Table:
+def _pairs(rows: list[dict[str, Any]]) -> MeasuredTable:
     headings = "policy", "against", "games", "won", "drawn", "lost", "return", "its return"
-    return Table(
+    return MeasuredTable(
         headings,
         [
             (
@@ -115,7 +115,7 @@ def _pairs(rows: list[dict[str, Any]]) -> Table:
     )
 
 
-def _wins(names: list[str], rows: list[dict[str, Any]]) -> Table:
+def _wins(names: list[str], rows: list[dict[str, Any]]) -> MeasuredTable:
     """Return a row for each policy, with the share of games that it won against each of the others."""
     won: dict[tuple[str, str], float] = {}
     for row in rows:
@@ -123,7 +123,7 @@ def _wins(names: list[str], rows: list[dict[str, Any]]) -> Table:
         won[row["against"], row["policy"]] = row["losses"] / row["games"]
     numbers = [str(k + 1) for k in range(len(names))]
     cells = [[f"{won[name, other]:.1%}" if name != other else "-" for other in names] for name in names]
-    return Table(
+    return MeasuredTable(
         ("", "won against", *numbers),
         [(number, name, *row) for number, name, row in zip(numbers, names, cells, strict=True)],
         (0, 1),

@@ -8,12 +8,12 @@ a column, so the loads and stores of a warp are side by side.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 from gymnasium.spaces import Box
 
+from pearl_marl.base.templates import fill
 from pearl_marl.batch import slot_memory
 from pearl_marl.compiler.flag_runs import cell_dtype
 from pearl_marl.compiler.straight_line import golden_functions, maskers, observers, orders
@@ -162,15 +162,15 @@ Lines = list[str]
 
 def cuda_source(spec: EnvSpec) -> str:
     """Return the source of the kernels of ``spec``, for :mod:`pearl_marl.compiler.cuda_kernels` to load."""
-    return _Writer(spec).source(TEMPLATE)
+    return _KernelWriter(spec).source(TEMPLATE)
 
 
 def cuda_rollout_source(spec: EnvSpec) -> str:
     """Return the source of a rollout, which has a policy act by calling ``act``."""
-    return _Writer(spec).source(ROLLOUT)
+    return _KernelWriter(spec).source(ROLLOUT)
 
 
-class _Writer:
+class _KernelWriter:
     """Writes the kernels of one environment, as lines of source."""
 
     def __init__(self, spec: EnvSpec) -> None:
@@ -225,22 +225,20 @@ class _Writer:
             ],
         }
         words = {
-            "NAME": spec.name,
-            "SIZE": str(self.agents * self.row),
-            "ELEMENT": str(spec.observation_dtype.itemsize),
-            "ELAPSED": self.elapsed,
-            "ENDED_DTYPE": str(self.ended_dtype),
-            "ENDED": self.ended,
-            "SEEN": masks_at + alive_at,
-            "LAST": f"final_at,{masks_at}{alive_at}",
+            "$NAME": spec.name,
+            "$SIZE": str(self.agents * self.row),
+            "$ELEMENT": str(spec.observation_dtype.itemsize),
+            "$ELAPSED": self.elapsed,
+            "$ENDED_DTYPE": str(self.ended_dtype),
+            "$ENDED": self.ended,
+            "$SEEN": masks_at + alive_at,
+            "$LAST": f"final_at,{masks_at}{alive_at}",
         }
-        text = re.sub(
-            r"^( *)\$([a-z_]+)\n",
-            lambda match: "".join(f"{match[1]}{line}\n" for line in parts[match[2]]),
-            template,
-            flags=re.MULTILINE,
-        )
-        return re.sub(r"\$([A-Z_]+)", lambda match: words[match[1]], text)
+        for name, lines in parts.items():
+            for width in range(0, 17, 4):
+                indent = " " * width
+                words[f"{indent}${name}\n"] = "".join(f"{indent}{line}\n" for line in lines)
+        return fill(template, words)
 
     def act(self) -> Lines:
         """Return what writes the words of a slot's actions, as a policy chooses them."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from pearl_marl.compiler.llvm_functions import Code, Column, Frame, Value
+from pearl_marl.compiler.llvm_functions import Code, Frame, Value, WordArray
 
 
 class Ends:
@@ -36,7 +36,7 @@ class Ends:
         """Return where a slot's agents have their elements."""
         return [i] if self.agents == 1 else [i * self.agents + k for k in range(self.agents)]
 
-    def _clear_where(self, code: Code, column: Column, i: Value, flag: Value) -> None:
+    def _clear_where(self, code: Code, column: WordArray, i: Value, flag: Value) -> None:
         """Set the elements of a slot's agents to 0 where a flag is set."""
         for at in self._each(i):
             column[at] = code.choose(column.type, flag, 0, column[at])

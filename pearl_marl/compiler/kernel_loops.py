@@ -34,7 +34,7 @@ from pearl_marl.batch import slot_memory
 from pearl_marl.compiler import flag_runs
 from pearl_marl.compiler.agents_alike import is_crowded
 from pearl_marl.compiler.kernel_ends import Ends
-from pearl_marl.compiler.llvm_functions import Code, Column, Compiled, Frame, Value
+from pearl_marl.compiler.llvm_functions import Code, Compiled, Frame, Value, WordArray
 from pearl_marl.compiler.llvm_words import ARITHMETIC
 from pearl_marl.compiler.straight_line import maskers, observers, orders
 from pearl_marl.golden import rng
@@ -196,7 +196,7 @@ class KernelLoops:
                 arguments[tick] = arguments[tick] + 1
         return possible[0]
 
-    def _possible(self, code: Code, actions: Column, checked: Value, lo: Value, hi: Value) -> Column:
+    def _possible(self, code: Code, actions: WordArray, checked: Value, lo: Value, hi: Value) -> WordArray:
         """Return a variable: 0 where actions are to be checked, and one is not in the space."""
         possible = code.variable(code.word(types.uint8, 1))
         count = getattr(self.spec.action_space, "n", None)  # numbers are checked before they become words
@@ -304,7 +304,7 @@ class KernelLoops:
 
     # What belongs to a block.
 
-    def _views(self, views: Sequence[Column]) -> Kernel:
+    def _views(self, views: Sequence[WordArray]) -> Kernel:
         """Return the arrays of what agents see, by name."""
         names = ["observations", *["action_masks"] * bool(self.masks), *["alive"] * (self.agents > 1)]
         return dict(zip(names, views, strict=True))
@@ -364,7 +364,7 @@ class KernelLoops:
             yield frame.with_(b=b, m=m, slot_0=kernel["first_slot"] + b, padded=padded, **named)
 
     @staticmethod
-    def _column(memory: Column, column: slot_memory.Column, padded: Value, b: Value) -> Column:
+    def _column(memory: WordArray, column: slot_memory.Column, padded: Value, b: Value) -> WordArray:
         return memory.view(numba_type(column.dtype), padded * column.bytes_before, b)
 
     def _load(self, code: Code, f: Frame, kernel: Kernel, name: str) -> None:
@@ -393,7 +393,7 @@ class KernelLoops:
         for i, lane, column in self._lanes(code, f):
             column[i] = lane[i]
 
-    def _lanes(self, code: Code, f: Frame) -> Iterator[tuple[Value, Column, Column]]:
+    def _lanes(self, code: Code, f: Frame) -> Iterator[tuple[Value, WordArray, WordArray]]:
         """Write loops over fields of each dtype, and their slots: yields a slot, a lane and a column."""
         for dtype in sorted({field.dtype for field in self.fields}, key=str):
             fields = [(k * self.size, f.bytes_before) for k, f in enumerate(self.fields) if f.dtype == dtype]
@@ -404,7 +404,7 @@ class KernelLoops:
                 for i in code.range(f.m):
                     yield i, lane, column
 
-    def _state(self, f: Frame, name: str = "state") -> list[Column]:
+    def _state(self, f: Frame, name: str = "state") -> list[WordArray]:
         """Return where the fields of the state lie, or those of stored starts."""
         if not self.has_lanes:
             return [getattr(f, f"{name}_{k}") for k in range(len(self.fields))]
@@ -643,7 +643,7 @@ class KernelLoops:
         to, of = (code.table(column) for column in places)
         count = code.word(types.int64, len(moved))
         code.run(self.take_turns, f.with_(to=to, of=of, count=count))
-        columns: dict[str, Column] = {"state": f.turns}
+        columns: dict[str, WordArray] = {"state": f.turns}
         for name, size in (("observations", self.row), ("action_masks", self.masks)):
             if name in f.named:
                 column = getattr(f, name)
@@ -783,19 +783,19 @@ class KernelLoops:
 
     # Flags of slots, a byte each.
 
-    def _clear(self, code: Code, flags: Column, first: Value | int = 0) -> None:
+    def _clear(self, code: Code, flags: WordArray, first: Value | int = 0) -> None:
         """Set flags to 0, up to the end of a block."""
         for i in code.range(first, self.size):
             flags[i] = 0
 
-    def _flagged(self, code: Code, flags: Column) -> Iterator[Value]:
+    def _flagged(self, code: Code, flags: WordArray) -> Iterator[Value]:
         """Write a loop over all slots of each eight of which some are flagged; yields a slot."""
         words = flags.view(types.uint64)
         for w in code.range(self.size // 8):
             with code.when(words[w]):
                 yield from code.range(w * 8, w * 8 + 8)
 
-    def _count(self, code: Code, flags: Column) -> Value:
+    def _count(self, code: Code, flags: WordArray) -> Value:
         """Return how many slots of a block are flagged, by 1."""
         words, total = flags.view(types.uint64), code.variable(code.word(types.uint64, 0))
         for w in code.range(self.size // 8):

@@ -187,13 +187,13 @@ class Value:
         return self._compared("differ", other)
 
 
-class Column:
+class WordArray:
     """Words side by side in memory: LLVM's address of the first, and their type."""
 
     def __init__(self, code: Code, first: Any, type_: Any, skipped: int = 0) -> None:
         self.code, self.first, self.type = code, first, type_
         self._stores, self._skipped = 0, skipped
-        self._behind: dict[int, Column] = {}
+        self._behind: dict[int, WordArray] = {}
 
     def __getitem__(self, index: Value | int) -> Value:
         stores = self._stores
@@ -220,20 +220,20 @@ class Column:
         first = self.first if not self._skipped else self.code.gep(self.first, [_number(self._skipped)])
         return self.code.gep(first, [_number(index)])
 
-    def behind(self, count: int) -> Column:
+    def behind(self, count: int) -> WordArray:
         """Return the words behind so many, always the same column: it knows what was stored there.
 
         Unlike a view it makes no address by itself: what one part of a loop has made, the next does not know.
         """
         if count not in self._behind:
-            self._behind[count] = Column(self.code, self.first, self.type, count)
+            self._behind[count] = WordArray(self.code, self.first, self.type, count)
         return self._behind[count]
 
-    def view(self, type_: Any, byte: Value | int = 0, index: Value | int = 0) -> Column:
+    def view(self, type_: Any, byte: Value | int = 0, index: Value | int = 0) -> WordArray:
         """Return the words of a type that begin ``index`` words behind a byte."""
         start = self.code.gep(self.code.bitcast(self.first, BYTES), [_number(byte)])
         first = self.code.bitcast(start, _llvm(type_).as_pointer())
-        return Column(self.code, self.code.gep(first, [_number(index)]), type_)
+        return WordArray(self.code, self.code.gep(first, [_number(index)]), type_)
 
     def write_flags(self, index: Value | int, word: Value, count: int) -> None:
         """Write the lowest bits of a word, a number each."""
@@ -248,7 +248,7 @@ class Column:
         )
         code.store(chosen, code.bitcast(place, numbers.as_pointer()), self.type.bitwidth // 8)
 
-    def copy(self, source: Column, index: Value, count: int) -> None:
+    def copy(self, source: WordArray, index: Value, count: int) -> None:
         """Copy words that have the same index in another column."""
         # Of a constant length: LLVM makes moves of it as wide as they come, where a loop has a scalar tail.
         size = ir.IntType(64)(count)
@@ -269,7 +269,7 @@ class Column:
 class Frame:
     """The words and columns that a function works on, by name: ``frame.rewards``."""
 
-    def __init__(self, **named: Value | Column) -> None:
+    def __init__(self, **named: Value | WordArray) -> None:
         self.named = named
         self.used: set[str] = set()
 
@@ -277,7 +277,7 @@ class Frame:
         self.used.add(name)
         return self.named[name]
 
-    def with_(self, **more: Value | Column) -> Frame:
+    def with_(self, **more: Value | WordArray) -> Frame:
         """Return a frame that has more, or others in the place of some."""
         frame = Frame(**{**self.named, **more})
         frame.used = self.used
@@ -311,7 +311,7 @@ class Code(Writer):
             return [self.argument(self.extract_value(value, k), t) for k, t in enumerate(own)]
         if isinstance(type_, types.Array):
             assert type_.layout == "C", "words are side by side"
-            return Column(self, arrays().make_array(type_)(self._context, self, value).data, type_.dtype)
+            return WordArray(self, arrays().make_array(type_)(self._context, self, value).data, type_.dtype)
         if type_ == types.boolean:
             return Value(self, self.zext(value, ir.IntType(8)), types.uint8)
         return Value(self, value, type_)
@@ -335,18 +335,18 @@ class Code(Writer):
         chosen = byte.operands[0] if compared else self.trunc(byte, bit)
         return Value(self, self.select(chosen, self.word(type_, a).value, self.word(type_, b).value), type_)
 
-    def table(self, table: Any) -> Column:
+    def table(self, table: Any) -> WordArray:
         """Return the entries of an array, which are constants."""
         type_ = getattr(types, str(table.dtype))
         word = _llvm(type_)
         constant = ir.Constant(ir.ArrayType(word, len(table)), [word(int(entry)) for entry in table])
         place = ir.GlobalVariable(self.module, constant.type, self.module.get_unique_name("table"))
         place.global_constant, place.linkage, place.initializer = True, "internal", constant
-        return Column(self, self.bitcast(place, word.as_pointer()), type_)
+        return WordArray(self, self.bitcast(place, word.as_pointer()), type_)
 
-    def variable(self, start: Value) -> Column:
+    def variable(self, start: Value) -> WordArray:
         """Return room for one word, which begins as another: what a branch or a turn of a loop changes."""
-        room = Column(self, cgutils.alloca_once(self, start.value.type), start.type)
+        room = WordArray(self, cgutils.alloca_once(self, start.value.type), start.type)
         room[0] = start
         return room
 
@@ -380,9 +380,9 @@ class Code(Writer):
         value = flag.value
         return self.icmp_unsigned("!=", value, value.type(0))
 
-    def address(self, number: Value) -> Column:
+    def address(self, number: Value) -> WordArray:
         """Return the bytes at an address."""
-        return Column(self, self.inttoptr(number.value, BYTES), types.uint8)
+        return WordArray(self, self.inttoptr(number.value, BYTES), types.uint8)
 
     @contextmanager
     def scratch(
@@ -408,15 +408,15 @@ class Code(Writer):
         for piece in pieces:
             self.memory.free(self, piece)
 
-    def _piece(self, size: int) -> tuple[Any, Column]:
+    def _piece(self, size: int) -> tuple[Any, WordArray]:
         """Allocate bytes; return the address to free, and the bytes from the first cache line on."""
         number = ir.IntType(64)
         piece = self.memory.allocate(self, number(size + LINE))
         # As an offset and not as a rounded address, it is still known to be apart from all other words.
         offset = self.sub(number(LINE), self.and_(self.ptrtoint(piece, number), number(LINE - 1)))
-        return piece, Column(self, self.gep(piece, [offset]), types.uint8)
+        return piece, WordArray(self, self.gep(piece, [offset]), types.uint8)
 
-    def row(self, words: Column, index: Value, count: int) -> tuple[Any, Any]:
+    def row(self, words: WordArray, index: Value, count: int) -> tuple[Any, Any]:
         """Return some words as an array of Numba's, and its type."""
         type_ = types.Array(words.type, 1, "C")
         array, size = (
@@ -443,7 +443,7 @@ class Code(Writer):
         write = self._context.get_function(type_, signature)
         write(self, [*(word.value for word in words), row[0]])
 
-    def inline(self, function: Any, *arguments: Value | Column) -> Any:
+    def inline(self, function: Any, *arguments: Value | WordArray) -> Any:
         """Write a function that is plain Python over NumPy's words, and return its results."""
         named = self._vocabulary
 
@@ -534,8 +534,8 @@ def _number(word: Value | int) -> Any:
     return word.to(types.int64).value if isinstance(word, Value) else ir.IntType(64)(word)
 
 
-def _operand(value: Value | Column) -> Any:
-    return value.first if isinstance(value, Column) else value.value
+def _operand(value: Value | WordArray) -> Any:
+    return value.first if isinstance(value, WordArray) else value.value
 
 
 class _Heap:

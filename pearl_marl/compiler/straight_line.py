@@ -134,7 +134,7 @@ def _function(name: str, traced: Traced, inputs: Sequence[Field]) -> _Written:
     function, graph, words, nodes, fields = traced
     results = list(zip(_with_merged_sums(graph, nodes), (str(f.dtype) for f in fields), strict=True))
     types = {word: str(f.dtype) for word, f in zip(words, inputs, strict=True)}
-    writer = _Writer(name, function, types, results)
+    writer = _LineWriter(name, function, types, results)
     returned = [f"np.{type_}({writer.operand(node, type_)})" for node, type_ in results]
     arguments = ", ".join(writer.names[word] for word in words)
     head = [*writer.tables, "", "", "@inlined", f"def {name}({arguments}):"]
@@ -231,7 +231,7 @@ def _may_be_no_flag(node: Node) -> bool:
     return True
 
 
-class _Writer:
+class _LineWriter:
     """Writes the lines that results are made by, given the types of the words that they are made of."""
 
     def __init__(

@@ -34,7 +34,7 @@ from pearl_marl.errors import ActionError, DeviceError
 from pearl_marl.golden import rng
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.integer_network import IntegerNetwork
-from pearl_marl.policies.integer_threads import Room, act, room_sizes, thread_network
+from pearl_marl.policies.integer_threads import ThreadArrays, act, room_sizes, thread_network
 
 RESIDENT_THREADS = 2048
 """Threads that a processor of a GPU holds at most. More are not started: each takes slot after slot."""
@@ -220,7 +220,7 @@ class Cuda(Device):
             network = thread_network(policy)
             inputs, outputs = room_sizes(network)
             threads = self._grid[0] * self._grid[1]
-            room = Room(
+            room = ThreadArrays(
                 self._gpu.device_array((2, inputs, threads), np.int16),
                 self._gpu.device_array((outputs, threads), np.int32),
             )

@@ -23,7 +23,12 @@ from pearl_marl.checks import checked_count_or_none
 from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device, Phase
-from pearl_marl.devices.native_rollout import Batch, address_of_step, compiled_policy, compiled_rollout
+from pearl_marl.devices.native_rollout import (
+    StepArrays,
+    address_of_step,
+    compiled_policy,
+    compiled_rollout,
+)
 from pearl_marl.devices.rollouts import Record, Sums, element_dtype, in_parts, recorded_form
 from pearl_marl.devices.threads import ThreadCount, Threads, cores
 from pearl_marl.errors import ActionError
@@ -213,7 +218,7 @@ class Native(Device):
     @uninterrupted
     def _run_rollout(self, policy: CompiledPolicy, step: int, sums: Sums, record: Record, steps: int) -> None:
         """Do some steps of a rollout."""
-        batch = Batch.of(self.config, self.elements())
+        batch = StepArrays.of(self.config, self.elements())
         self._arguments[_SEEDS] = self._seed = self.seed
         arguments = self._arguments.copy()
         arguments[STEP_ARGUMENTS.index("checked")] = 0

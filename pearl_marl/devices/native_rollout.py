@@ -37,7 +37,7 @@ _jit: Any = numba.njit(error_model="numpy")
 key, draw = (with_callees(function, {}, _jit) for function in (rng.key, rng.draw))
 
 
-class Batch(NamedTuple):
+class StepArrays(NamedTuple):
     """What all agents are shown, do and get; every step writes over it."""
 
     elements: Array  # uint8: the bytes of elements, agent after agent
@@ -50,7 +50,7 @@ class Batch(NamedTuple):
     truncations: Array  # uint8
 
     @classmethod
-    def of(cls, config: BatchConfig, seen: Observed) -> Batch:
+    def of(cls, config: BatchConfig, seen: Observed) -> StepArrays:
         """Return what agents are shown, and room for the rest."""
         elements, masks, present = seen
         n, spec = config.n_agents, config.spec
@@ -95,7 +95,7 @@ def _copy(own: Array, to: Array) -> None:
 
 
 @called
-def _add(sums: Sums, batch: Batch, first: int, n: int, t: int, next_step: int) -> None:
+def _add(sums: Sums, batch: StepArrays, first: int, n: int, t: int, next_step: int) -> None:
     """Add a step of ``n`` agents to the sums; lengths are less by the steps before the present one."""
     rewards, terminations = batch.rewards[first : first + n], batch.terminations[first : first + n]
     truncations, waiting = batch.truncations[first : first + n], sums.waiting[first : first + n]

@@ -6,7 +6,6 @@ import html
 import io
 from collections.abc import Iterable
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import numpy as np
@@ -15,12 +14,7 @@ from pearl_marl.base.files import replace_file
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.rendering import new_figure
 
-_PAGE = Template("""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<title>$title</title>
-<style>
+_STYLE = """\
 body { font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: 56rem; margin: 2rem auto;
   padding: 0 1rem; }
 h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2rem; }
@@ -28,24 +22,32 @@ table { border-collapse: collapse; } th, td { padding: .2rem .9rem .2rem 0; text
 th:first-child, td:first-child { text-align: left; } thead th { border-bottom: 1px solid #999; }
 td { font-variant-numeric: tabular-nums; overflow-wrap: anywhere; } svg { max-width: 100%; height: auto; }
 .note { color: #666; font-size: .9rem; }
-</style>
+"""
+
+_PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<title>{title}</title>
+<style>
+{style}</style>
 </head>
 <body>
-<h1>$title</h1>
-$facts
+<h1>{title}</h1>
+{facts}
 <h2>Episodes</h2>
-$episodes
-<p class="note">$interval</p>
-$outcomes
-$latency
+{episodes}
+<p class="note">{interval}</p>
+{outcomes}
+{latency}
 </body>
 </html>
-""")
+"""
 
-_LATENCY = Template("""<h2>Latency of a step of all agents</h2>
-$table
+_LATENCY = """<h2>Latency of a step of all agents</h2>
+{table}
 <p class="note">T1 to T7 are the times of the latency model. The first step is left out: it loads code.</p>
-$stages""")
+{stages}"""
 
 _BLUE, _GREY = "#3b6ea5", "#999999"
 
@@ -83,7 +85,8 @@ def write_report(evaluation: Evaluation, result: dict[str, Any], path: Path) -> 
         )
         for name in ("return", "length")
     ]
-    page = _PAGE.substitute(
+    page = _PAGE.format(
+        style=_STYLE,
         title=html.escape(f"{result['environment']} on {result['device']}"),
         facts=_table((), facts.items()),
         episodes=f"<p>{result['episodes']:,} episodes, of them truncated {result['truncated']:,}.</p>"
@@ -149,7 +152,7 @@ def _latency(result: dict[str, Any]) -> str:
         )
     ]
     table = _table(("stage", "time", "median, us", "90 %", "99 %", "max"), rows)
-    return _LATENCY.substitute(table=table, stages=_stages(result))
+    return _LATENCY.format(table=table, stages=_stages(result))
 
 
 def _stages(result: dict[str, Any]) -> str:

@@ -90,7 +90,7 @@ class Vocabulary(NamedTuple):
             return self.cast(value)
         if isinstance(value, np.ndarray):
             listed = value.tolist()
-            return self.table(Grid(listed)) if isinstance(listed, list) else self.meaning(listed)
+            return self.table(ArrayEntries(listed)) if isinstance(listed, list) else self.meaning(listed)
         if isinstance(value, (np.integer, np.bool_)):
             return int(value)
         if type(value) in (list, tuple, dict):
@@ -120,7 +120,7 @@ class TypeLike:
         return getattr(self._type, name)
 
 
-class Grid(list[Any]):
+class ArrayEntries(list[Any]):
     """The entries of an array of NumPy's, which takes an index for each dimension at once."""
 
     def __getitem__(self, index: Any) -> Any:

@@ -149,7 +149,7 @@ PLACEMENTS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Memory:
+class DesignMemory:
     """A memory of the design, and what it became: ``block RAM``, ``LUT RAM`` or ``flip-flops``."""
 
     name: str
@@ -175,12 +175,12 @@ class Usage:
     ff: int
     bram36: float
     dsp: int
-    memories: tuple[Memory, ...]
+    memories: tuple[DesignMemory, ...]
     tools: Mapping[str, str]
     fmax_mhz: float | None = field(default=None)
 
     @property
-    def misplaced(self) -> list[Memory]:
+    def misplaced(self) -> list[DesignMemory]:
         """The large memories that did not become block RAM."""
         return [memory for memory in self.memories if memory.misplaced]
 
@@ -248,7 +248,7 @@ def _job(build: Build, family: Family, placement: Placement | None) -> _Job:
 
 
 def _usage(layout: MemoryMap, found: dict[str, Any], tools: Mapping[str, str]) -> Usage:
-    memories = tuple(Memory(**memory) for memory in found.pop("memories"))
+    memories = tuple(DesignMemory(**memory) for memory in found.pop("memories"))
     return Usage(layout.n_envs, layout.pe_num, layout.data_wl, **found, memories=memories, tools=tools)
 
 
@@ -321,7 +321,7 @@ def count_cells(by_type: Mapping[str, int], cells: Cells) -> dict[str, Any]:
     }
 
 
-def _memories(folder: Path) -> list[Memory]:
+def _memories(folder: Path) -> list[DesignMemory]:
     """Return the memories that Yosys found, and what it made of each.
 
     A cell is named after its memory. Of a ``pearl_memory`` there is one for every slice of every part.
@@ -342,13 +342,13 @@ def _memories(folder: Path) -> list[Memory]:
             int(number) for key in ("WIDTH", "SIZE") for number in re.findall(rf"\\{key} (\d+)", cell)
         )
         kind = "flip-flops" if name in flip_flops else "block RAM" if name in block else "LUT RAM"
-        found.append(Memory(name, width, depth, kind))
+        found.append(DesignMemory(name, width, depth, kind))
     found.sort(key=lambda memory: memory.name)
     wholes = itertools.groupby(found, lambda memory: memory.name.partition(".u_memory.")[0])
     return [_whole(name, list(pieces)) for name, pieces in wholes]
 
 
-def _whole(name: str, pieces: list[Memory]) -> Memory:
+def _whole(name: str, pieces: list[DesignMemory]) -> DesignMemory:
     """Put slices side by side and parts on top of each other; it is block RAM if all that is large is."""
     parts = itertools.groupby(pieces, lambda piece: piece.name.rpartition(".gen_slice[")[0])
     sizes = [
@@ -356,7 +356,7 @@ def _whole(name: str, pieces: list[Memory]) -> Memory:
     ]
     kinds = [piece.kind for piece in pieces if piece.misplaced] or [piece.kind for piece in pieces]
     kind = "block RAM" if "block RAM" in kinds else kinds[0]
-    return Memory(name, sizes[0][0], sum(depth for _, depth in sizes), kind)
+    return DesignMemory(name, sizes[0][0], sum(depth for _, depth in sizes), kind)
 
 
 def _fmax(folder: Path, found: Mapping[str, Any], placement: Placement) -> float:

@@ -30,12 +30,12 @@ from pearl_marl.interfaces.agent_dict import (
     python_values,
 )
 from pearl_marl.interfaces.batch import Batch, DeviceBatch
-from pearl_marl.interfaces.view import View
+from pearl_marl.interfaces.view import BatchView
 from pearl_marl.interfaces.world import Mask
 from pearl_marl.spec import EnvSpec, Role, snake_case
 
 
-class PearlParallelEnv(View, pettingzoo.ParallelEnv):  # type: ignore[misc]  # pettingzoo has no types
+class PearlParallelEnv(BatchView, pettingzoo.ParallelEnv):  # type: ignore[misc]  # pettingzoo has no types
     """The agents of a batch as those of a PettingZoo ``ParallelEnv``, in wrappers or without.
 
     A slot of a device holds a *world*, which has one agent, or several that share its state. ``agent_i`` is

@@ -21,7 +21,7 @@ from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.interfaces.agent_dict import observations_in
 from pearl_marl.interfaces.batch import Batch, DeviceBatch
-from pearl_marl.interfaces.view import View
+from pearl_marl.interfaces.view import BatchView
 from pearl_marl.interfaces.world import Mask
 from pearl_marl.spec import check_slots
 
@@ -57,7 +57,7 @@ def slot_autoreset_mode(mode: AutoresetMode) -> AutoresetMode:
     return AutoresetMode.SAME_STEP if mode is AutoresetMode.DISABLED else mode
 
 
-class PearlVectorEnv(View, VectorEnv[Any, Any, Any]):
+class PearlVectorEnv(BatchView, VectorEnv[Any, Any, Any]):
     """The slots of a batch as a ``gymnasium.vector.VectorEnv``, in wrappers or without.
 
     Make one with :func:`make_vec`. In each autoreset mode it returns what Gymnasium's own

@@ -16,7 +16,7 @@ from pearl_marl.interfaces.batch import Batch, DeviceBatch
 from pearl_marl.policies.device_policy import DevicePolicy
 
 
-class View:
+class BatchView:
     """A batch as another package's environment: ``batch`` is what steps, and wrappers change it."""
 
     batch: Batch

@@ -14,7 +14,7 @@ from a :class:`Link`: so much for a call, so much for a byte. ``prediction.py`` 
 A rollout with a policy engine is counted likewise (:func:`rollout_step_cycles` in ``rollouts.py``).
 
 Where the paper's hardware takes T3, T4 and T5 partly one after the other (its Eq. 2 and 3, see
-:class:`~pearl_marl.latency.cycles.Loop`), this one does all three at the same time. Its form without
+:class:`~pearl_marl.latency.cycles.LoopCycles`), this one does all three at the same time. Its form without
 pipeline, which the paper compares with, is :func:`predict` with ``pipelined=False``.
 
 May import ``devices``, ``hardware`` and what is below them.

@@ -67,7 +67,7 @@ def step_cycles(
     return to_words + max(ends)
 
 
-class Loop(NamedTuple):
+class LoopCycles(NamedTuple):
     """The paper's loop times, T3 to T5 of all slots together, for one build of ours, in clock cycles.
 
     ``c_r`` and ``c_w`` are a slot's share of the words in and out, ``c_c`` the core's latency.
@@ -81,12 +81,12 @@ class Loop(NamedTuple):
     """:func:`step_cycles`: reading, computing and writing overlap, and so do the three result banks."""
 
 
-def loop_cycles(spec: EnvSpec, layout: MemoryMap, target: Target = elaboration.TARGET) -> Loop:
+def loop_cycles(spec: EnvSpec, layout: MemoryMap, target: Target = elaboration.TARGET) -> LoopCycles:
     """Return the paper's Eq. 2 and Eq. 3 for a build, beside what this hardware takes."""
     moved = layout["actions"].words + sum(layout[name].words for name in RESULTS)
     compute = elaboration.core_timing(spec, target).latency
     ours = step_cycles(spec, layout, target=target)
-    return Loop(moved + layout.n_envs * compute, moved + compute, ours)
+    return LoopCycles(moved + layout.n_envs * compute, moved + compute, ours)
 
 
 _BURST_BYTES, _BURST_BEATS = 4096, 256

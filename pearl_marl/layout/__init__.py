@@ -164,7 +164,7 @@ class Layout:
 
         Arrays are lists. A word of a real is made one; a float stays what it is.
         """
-        code = _Code()
+        code = _LayoutCode()
         names = [f"word_{k}" for k in range(len(self.fields))]
         made = self._tree.made(iter(names), code)
         # As text, since the reference calls it for every slot.
@@ -193,7 +193,7 @@ class Layout:
     @cached_property
     def _integers(self) -> Callable[[Any], tuple[Any, ...] | None]:
         """:meth:`flat` of plain objects of integers; of others ``None``, or words that are none."""
-        code = _Code()
+        code = _LayoutCode()
         words = self._tree.taken("value", code)
         return code.function(  # type: ignore[no-any-return]
             "integers", "value", code.lines, f"({''.join(f'{word}, ' for word in words)})"
@@ -203,7 +203,7 @@ class Layout:
 _INTEGERS = {int, bool}
 
 
-class _Code:
+class _LayoutCode:
     """The text of a function that makes an object of words, or words of one."""
 
     def __init__(self) -> None:
@@ -235,10 +235,10 @@ class _Leaf:
         if s.bits:
             yield Field(name, s.bits, s.signed, s.fraction, s.least, s.most)
 
-    def made(self, words: Iterator[str], code: _Code) -> str:
+    def made(self, words: Iterator[str], code: _LayoutCode) -> str:
         return next(words) if self.scalar.bits else "0"
 
-    def taken(self, value: str, code: _Code) -> list[str]:
+    def taken(self, value: str, code: _LayoutCode) -> list[str]:
         return [value] if self.scalar.bits else []
 
     def flatten(self, value: Any, where: str, result: list[Any]) -> None:
@@ -256,12 +256,12 @@ class _RealLeaf:
     def fields(self, name: str) -> Iterator[Field]:
         yield dataclasses.replace(self.field, name=name)
 
-    def made(self, words: Iterator[str], code: _Code) -> str:
+    def made(self, words: Iterator[str], code: _LayoutCode) -> str:
         word = next(words)
         number = f"{code.known(Number)}({word}, {self.fraction})"
         return f"{word} if isinstance({word}, float) else {number}"
 
-    def taken(self, value: str, code: _Code) -> list[str]:
+    def taken(self, value: str, code: _LayoutCode) -> list[str]:
         return [value]
 
     def flatten(self, value: Any, where: str, result: list[Any]) -> None:
@@ -287,10 +287,10 @@ class _Several:
         for k in range(self.count):
             yield from self.element.fields(f"{name}_{k}")
 
-    def made(self, words: Iterator[str], code: _Code) -> str:
+    def made(self, words: Iterator[str], code: _LayoutCode) -> str:
         return f"[{', '.join(self.element.made(words, code) for _ in range(self.count))}]"
 
-    def taken(self, value: str, code: _Code) -> list[str]:
+    def taken(self, value: str, code: _LayoutCode) -> list[str]:
         name = f"list_{len(code.lines)}"
         code.lines += [
             f"{name} = {value}",
@@ -315,10 +315,10 @@ class _Group:
         for own, part in self.parts.items():
             yield from part.fields(f"{name}_{own}" if name else own)
 
-    def made(self, words: Iterator[str], code: _Code) -> str:
+    def made(self, words: Iterator[str], code: _LayoutCode) -> str:
         return f"{code.known(self.cls)}({', '.join(part.made(words, code) for part in self.parts.values())})"
 
-    def taken(self, value: str, code: _Code) -> list[str]:
+    def taken(self, value: str, code: _LayoutCode) -> list[str]:
         name = f"group_{len(code.lines)}"
         code.lines += [
             f"{name} = {value}",

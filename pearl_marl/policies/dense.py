@@ -50,7 +50,7 @@ class Layers(NamedTuple):
     layer_norm: bool  # whether what the first and the second layer make is standardised, row by row
 
 
-class Observed(NamedTuple):
+class NetworkInputs(NamedTuple):
     """The inputs of a network, a row for each agent."""
 
     x: Array  # (n, inputs) float32, before they are standardised
@@ -298,7 +298,7 @@ def _through_norm(by: Array, width: int, high: int, rows: int, norm: Array, scal
 
 
 @called
-def forward_rows(layers: Layers, weights: Padded, observed: Observed, rows: Array, tile: Tile) -> None:
+def forward_rows(layers: Layers, weights: Padded, observed: NetworkInputs, rows: Array, tile: Tile) -> None:
     """Compute the outputs of at most :data:`ROWS` rows, into the tile."""
     inputs, n = layers.first.shape[1], len(rows)
     high, wide, out = len(weights.bias1), _up(inputs, HIGH), len(weights.bias3)
@@ -374,7 +374,7 @@ def _through_tanh(by: Array, h: Array, n: int) -> None:
 def backward_rows(
     layers: Layers,
     weights: Padded,
-    observed: Observed,
+    observed: NetworkInputs,
     rows: Array,
     tile: Tile,
     total: Padded,
@@ -434,7 +434,7 @@ def store_gradients(total: Padded, gradients: Layers) -> None:
         gradients.bias3[k] = total.bias3[k]
 
 
-def _forward(layers: Layers, observed: Observed, outputs: Array) -> None:
+def _forward(layers: Layers, observed: NetworkInputs, outputs: Array) -> None:
     """Compute outputs, shape ``(n, outputs)``."""
     weights, tile = padded(layers), tile_of(layers)
     out = len(weights.bias3)
@@ -447,7 +447,7 @@ def _forward(layers: Layers, observed: Observed, outputs: Array) -> None:
                 outputs[start + s, k] = tile.outputs[s * out + k]
 
 
-def _backward(layers: Layers, observed: Observed, by_outputs: Array, gradients: Layers) -> None:
+def _backward(layers: Layers, observed: NetworkInputs, by_outputs: Array, gradients: Layers) -> None:
     """Compute gradients from those by the outputs; hidden layers are computed again."""
     weights, tile, total = padded(layers), tile_of(layers), gradient_sums(gradients)
     out = len(weights.bias3)
@@ -463,7 +463,7 @@ def _backward(layers: Layers, observed: Observed, by_outputs: Array, gradients: 
     store_gradients(total, gradients)
 
 
-forward: Callable[[], Callable[[Layers, Observed, Array], None]] = compiled_loop(_forward, fused=True)
-backward: Callable[[], Callable[[Layers, Observed, Array, Layers], None]] = compiled_loop(
+forward: Callable[[], Callable[[Layers, NetworkInputs, Array], None]] = compiled_loop(_forward, fused=True)
+backward: Callable[[], Callable[[Layers, NetworkInputs, Array, Layers], None]] = compiled_loop(
     _backward, fused=True
 )

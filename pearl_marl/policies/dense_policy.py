@@ -16,7 +16,7 @@ from pearl_marl.compiler import addresses
 from pearl_marl.compiler.addresses import address_of, fields_at, in_memory
 from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.policies import dense, integer_vectors
-from pearl_marl.policies.dense import ROWS, Layers, Observed, Vector, forward_rows, padded, tile_of
+from pearl_marl.policies.dense import ROWS, Layers, NetworkInputs, Vector, forward_rows, padded, tile_of
 from pearl_marl.policies.device_policy import (
     ACT_ARGUMENTS,
     ActionChoice,
@@ -61,7 +61,7 @@ class DenseNetwork(DevicePolicy):
             x = elements.reshape(n, -1).astype(np.float32) * self.units
         position = agents.astype(np.int64) if len(self.layers.indicator) else np.empty(0, np.int64)
         outputs = np.empty((n, len(self.layers.bias3)), np.float32)
-        dense.forward()(self.layers, Observed(x, self.mean, self.scale, numbers, position), outputs)
+        dense.forward()(self.layers, NetworkInputs(x, self.mean, self.scale, numbers, position), outputs)
         if masks is not None:
             outputs = np.where(masks, outputs, -np.inf)
         ends = np.cumsum(self.counts)
@@ -69,7 +69,7 @@ class DenseNetwork(DevicePolicy):
         return ActionChoice(np.stack(fields, 1), None)
 
 
-class Prepared(NamedTuple):
+class DenseFields(NamedTuple):
     """A network as the loop takes it."""
 
     layers: Layers
@@ -83,7 +83,7 @@ class Prepared(NamedTuple):
     agents: int  # of a world
 
 
-_network_at = fields_at(Prepared)
+_network_at = fields_at(DenseFields)
 
 
 def _act(network, elements, masks, draws, words, logits):  # type: ignore[no-untyped-def]
@@ -94,7 +94,7 @@ def _act(network, elements, masks, draws, words, logits):  # type: ignore[no-unt
     x = np.empty((0 if numbered else ROWS, count), np.float32)
     numbers = np.empty((ROWS, count if numbered else 0), np.int64)
     position = np.empty(ROWS if len(layers.indicator) else 0, np.int64)
-    observed = Observed(x, net.mean, net.scale, numbers, position)
+    observed = NetworkInputs(x, net.mean, net.scale, numbers, position)
     outputs = len(weights.bias3)
     for first in range(0, len(words), ROWS):
         n = min(ROWS, len(words) - first)
@@ -125,7 +125,7 @@ compiled_act = compiled_loop(_act, addresses, dense, integer_vectors, fused=True
 
 def compiled(network: DenseNetwork, elements: np.dtype[Any]) -> CompiledPolicy:
     """Return a network as a rollout calls it, for elements of a dtype."""
-    fields = Prepared(
+    fields = DenseFields(
         network.layers,
         network.mean,
         network.scale,

@@ -223,7 +223,7 @@ called: Callable[..., Any] = njit(**_FOR_LOOPS, **dict[str, Any](_nrt=False))
 """For functions that allocate nothing: they count no references, so they compile sooner."""
 
 
-class Room(NamedTuple):
+class TileArrays(NamedTuple):
     """What a tile is on its way through the layers."""
 
     taken: Array  # int64, (elements, TILE)
@@ -249,7 +249,7 @@ def _lines(rows: int) -> Array:
 
 
 @allocating
-def _room_for(net: Prepared) -> Room:
+def _room_for(net: Prepared) -> TileArrays:
     """Return room for a tile."""
     groups, outputs, planes = 1, 1, net.kind == PLANES
     for layer in range(len(net.layers)):
@@ -257,7 +257,7 @@ def _room_for(net: Prepared) -> Room:
         groups = max(groups, net.layers[layer, GROUPS], (outputs + 1) // 2)
     found = len(net.filter_bias) * (net.shape[0] - 2) * (net.shape[1] - 2) if planes else 0
     x, y, sums = _lines(groups), _lines(groups), _lines(outputs)
-    return Room(
+    return TileArrays(
         np.zeros((net.width, 1 if planes else TILE), np.int64),
         np.zeros((net.width + 7) // 8 * 8 if planes else 0, np.uint8),
         np.zeros((found + QUAD - 1) // QUAD * QUAD, np.int32),
@@ -289,7 +289,7 @@ def _scale(net: Prepared, taken: Array, x: Array) -> None:
 
 
 @called
-def _see_planes(net: Prepared, elements: Array, first: int, n: int, room: Room) -> None:
+def _see_planes(net: Prepared, elements: Array, first: int, n: int, room: TileArrays) -> None:
     """Put what filters find in a tile's planes in groups. Most elements are 0, and cost nothing."""
     rows, columns, planes = net.shape[0], net.shape[1], net.shape[2]
     high, wide, filters = rows - 2, columns - 2, len(net.filter_bias)
@@ -344,7 +344,7 @@ def _look_up_pairs(sums: Array, table: Array, shift: Any, outputs: int, made: Ar
 
 
 @called
-def _find_rows(net: Prepared, choice: int, room: Room) -> None:
+def _find_rows(net: Prepared, choice: int, room: TileArrays) -> None:
     """Find the row of the table that each agent of a tile chooses."""
     rows, taken = room.rows, room.taken
     for s in range(TILE):
@@ -356,7 +356,7 @@ def _find_rows(net: Prepared, choice: int, room: Room) -> None:
 
 
 @called
-def _pick(net: Prepared, first: int, n: int, room: Room, words: Array, logits: Array) -> None:
+def _pick(net: Prepared, first: int, n: int, room: TileArrays, words: Array, logits: Array) -> None:
     """Choose the actions of a tile by its rows alone."""
     own = words[first : first + n]
     for k in range(words.shape[1]):
@@ -369,7 +369,7 @@ def _pick(net: Prepared, first: int, n: int, room: Room, words: Array, logits: A
 
 
 @called
-def _begin(net: Prepared, n: int, first_agent: int, room: Room) -> None:
+def _begin(net: Prepared, n: int, first_agent: int, room: TileArrays) -> None:
     """Begin the first sums with biases, and with what rows of tables add to them."""
     sums = room.sums
     for j in range(net.layers[0, OUTPUTS]):
@@ -389,7 +389,7 @@ def _begin(net: Prepared, n: int, first_agent: int, room: Room) -> None:
 
 
 @called
-def _add_up(net: Prepared, elements: Array, first: int, n: int, room: Room) -> None:
+def _add_up(net: Prepared, elements: Array, first: int, n: int, room: TileArrays) -> None:
     """Compute the last sums of the ``n`` agents from ``first`` on, at most :data:`TILE`."""
     if net.kind == PLANES:
         _see_planes(net, elements, first, n, room)
@@ -432,7 +432,14 @@ def _add_up(net: Prepared, elements: Array, first: int, n: int, room: Room) -> N
 
 @called
 def _choose(
-    net: Prepared, room: Room, first: int, n: int, masks: Array, draws: Array, words: Array, logits: Array
+    net: Prepared,
+    room: TileArrays,
+    first: int,
+    n: int,
+    masks: Array,
+    draws: Array,
+    words: Array,
+    logits: Array,
 ) -> None:
     """Choose the actions of a tile by its last sums; ``masks`` and ``logits`` may have no rows."""
     sums = room.sums

@@ -119,7 +119,7 @@ def thread_network(network: IntegerNetwork) -> ThreadNetwork:
     return ThreadNetwork(**parts)
 
 
-class Room(NamedTuple):
+class ThreadArrays(NamedTuple):
     """Numbers of threads on their way through the layers. A thread has a column, beside its neighbour's."""
 
     inputs: Array  # int16, (2, inputs, threads): those of a layer, and those of the next one
@@ -131,7 +131,7 @@ def room_sizes(net: ThreadNetwork) -> tuple[int, int]:
     return max(1, int(net.sizes.max())), int(net.sizes[-1, 1])
 
 
-def layers(net: ThreadNetwork, room: Room, elements: Array, at: int, agent: int, me: int) -> None:
+def layers(net: ThreadNetwork, room: ThreadArrays, elements: Array, at: int, agent: int, me: int) -> None:
     """Compute the last sums of an agent, whose elements lie from ``at`` on, in column ``me``."""
     inputs, sums = room.inputs, room.sums
     if len(net.multiplier):
@@ -201,7 +201,7 @@ def layers(net: ThreadNetwork, room: Room, elements: Array, at: int, agent: int,
 
 def act(
     net: ThreadNetwork,
-    room: Room,
+    room: ThreadArrays,
     elements: Array,
     at: int,
     agent: int,

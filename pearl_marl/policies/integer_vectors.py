@@ -70,7 +70,7 @@ def _spread(builder: Any, word: Any) -> Any:
     return _shuffled(builder, (builder.insert_element(empty, word, _WORD(0)), empty), [0] * LANES)
 
 
-class _Code:
+class _VectorCode:
     """The code of a function that is being made, with its arrays as pointers to their data."""
 
     def __init__(self, context: Any, builder: Any, kinds: Any, operands: Any) -> None:
@@ -120,13 +120,13 @@ class _Code:
             yield index
 
 
-def _made(write: Callable[[_Code], None]) -> Any:
+def _made(write: Callable[[_VectorCode], None]) -> Any:
     """Return a function of a tuple of arrays and a tuple of numbers, whose code ``write`` makes."""
 
     @_intrinsic  # type: ignore[untyped-decorator]
     def function(_: Any, arrays: Any, numbers: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-            write(_Code(context, builder, tuple(signature.args[0]), operands))
+            write(_VectorCode(context, builder, tuple(signature.args[0]), operands))
             return context.get_dummy_value()
 
         return types.void(arrays, numbers), generate
@@ -169,11 +169,11 @@ Finish: TypeAlias = Callable[[Any, list[list[Any]]], None]
 """What is done with the sums of :data:`HIGH` outputs: called with the first of them, and vectors of each."""
 
 
-def _layer(plus: Callable[..., Any], begin: Callable[[_Code], Finish]) -> Any:
+def _layer(plus: Callable[..., Any], begin: Callable[[_VectorCode], Finish]) -> Any:
     """Return a function that makes a layer's sums by ``plus``, and does with them what ``begin`` returns."""
     needs_quads = plus is _plus_quads or begin not in (_keep, _cut_to_pairs)
 
-    def write(code: _Code) -> None:
+    def write(code: _VectorCode) -> None:
         if needs_quads and not takes_quads():
             return
         builder, (inputs, _, sums, weights, biases, _) = code.builder, code.arrays
@@ -204,7 +204,7 @@ def _layer(plus: Callable[..., Any], begin: Callable[[_Code], Finish]) -> Any:
     return _made(write)
 
 
-def _keep(code: _Code) -> Finish:
+def _keep(code: _VectorCode) -> Finish:
     """Store sums as they are."""
 
     def finish(first: Any, totals: list[list[Any]]) -> None:
@@ -222,7 +222,7 @@ def _within(builder: Any, vector: Any, low: Any, high: Any) -> Any:
     return vector
 
 
-def _cut_to_pairs(code: _Code) -> Finish:
+def _cut_to_pairs(code: _VectorCode) -> Finish:
     """Cut sums at 0 and a limit of 16 bits."""
     builder, shift, limit = code.builder, code.spread(5), code.spread(6)
 
@@ -238,7 +238,7 @@ def _cut_to_pairs(code: _Code) -> Finish:
     return finish
 
 
-def _to_quads(code: _Code, low: int, high: Any, make: Callable[[list[list[Any]]], list[Any]]) -> Finish:
+def _to_quads(code: _VectorCode, low: int, high: Any, make: Callable[[list[list[Any]]], list[Any]]) -> Finish:
     """Shift sums, cut them at both ends, and make quads of them.
 
     ``make`` gets two vectors of 16-bit words for each vector of quads: four agents' of one output and four of
@@ -260,7 +260,7 @@ def _to_quads(code: _Code, low: int, high: Any, make: Callable[[list[list[Any]]]
     return finish
 
 
-def _cut_to_quads(code: _Code) -> Finish:
+def _cut_to_quads(code: _VectorCode) -> Finish:
     """Cut sums at 0 and a limit of 8 bits."""
     builder, limit = code.builder, code.spread(6)
     limit = builder.bitcast(builder.or_(limit, builder.shl(limit, _constant(_WORDS, 16))), _PAIRS)
@@ -273,7 +273,7 @@ def _cut_to_quads(code: _Code) -> Finish:
     return _to_quads(code, 0, limit, make)
 
 
-def _look_up(code: _Code) -> Finish:
+def _look_up(code: _VectorCode) -> Finish:
     """Look up what sums become in a table of bytes, the entry of 0 first."""
     builder, table = code.builder, code.numbers()[6]
     places = [(row, lane, k) for lane in range(4) for k in range(4) for row in range(HIGH)]
@@ -322,7 +322,7 @@ instead of to biases, the shift, and the limit or the first byte of the table.
 """
 
 
-def _write_take(code: _Code) -> None:
+def _write_take(code: _VectorCode) -> None:
     builder, (elements, taken), (first, n, width, size, signed, row) = (
         code.builder,
         code.arrays,
@@ -350,7 +350,7 @@ bytes of an element, 1 where it has a sign, and the length of a row.
 """
 
 
-def _write_greatest(code: _Code) -> None:
+def _write_greatest(code: _VectorCode) -> None:
     builder, (sums, best, greatest), (start, count) = code.builder, code.arrays, code.numbers()
     for v in range(VECTORS):
         chosen, most = code.variable(_WORDS), code.variable(_WORDS)

@@ -51,7 +51,7 @@ class _Dense(torch.autograd.Function):
     """The outputs of a :class:`Network` by compiled loops, which also find the gradients."""
 
     @staticmethod
-    def forward(ctx: Any, network: Network, observed: dense.Observed, *_: Tensor) -> Tensor:
+    def forward(ctx: Any, network: Network, observed: dense.NetworkInputs, *_: Tensor) -> Tensor:
         """Return the outputs; the other arguments are the network's parameters."""
         ctx.network, ctx.observed = network, observed
         return network.dense_outputs(observed)
@@ -252,7 +252,7 @@ class Network(nn.Module):
         arrays = (tensor.detach().numpy() for tensor in tensors)
         return dense.Layers(*arrays, self.layer_norm)  # type: ignore[call-arg, arg-type]
 
-    def observed(self, obs: Tensor, position: Tensor | None) -> dense.Observed:
+    def observed(self, obs: Tensor, position: Tensor | None) -> dense.NetworkInputs:
         """Return observations as compiled loops take them."""
         encoder, n = self.encoder, len(obs)
         obs = encoder.whole(obs)
@@ -266,9 +266,9 @@ class Network(nn.Module):
             x = obs.reshape(n, len(mean)).float().contiguous().numpy()
         if self.indicator is not None:
             positions = torch.as_tensor(position).contiguous().numpy()
-        return dense.Observed(x, mean, scale, numbers, positions)
+        return dense.NetworkInputs(x, mean, scale, numbers, positions)
 
-    def dense_outputs(self, observed: dense.Observed) -> Tensor:
+    def dense_outputs(self, observed: dense.NetworkInputs) -> Tensor:
         """Return the outputs, by compiled loops."""
         outputs = np.empty((len(observed.x), self.output.out_features), np.float32)
         dense.forward()(self.layers(), observed, outputs)

@@ -24,7 +24,7 @@ from pearl_marl.policies.integer_network import (
     table_network,
 )
 from pearl_marl.policies.network import Network
-from pearl_marl.policies.trained import NetworkPolicy, Table
+from pearl_marl.policies.trained import NetworkPolicy, TabularPolicy
 from pearl_marl.spec.elements import bounds
 
 INPUT_STEPS = 128
@@ -43,7 +43,7 @@ BITS = 4, 16
 
 
 def quantized(
-    policy: NetworkPolicy | Table, observations: Array, weight_bits: int = 8, activation_bits: int = 8
+    policy: NetworkPolicy | TabularPolicy, observations: Array, weight_bits: int = 8, activation_bits: int = 8
 ) -> IntegerNetwork:
     """Return a policy in integers that does what a trained one does, as nearly as its bits allow.
 
@@ -67,7 +67,7 @@ def quantized(
     checked_integer("weight_bits", weight_bits, *BITS)
     checked_integer("activation_bits", activation_bits, *BITS)
     check_quantizable(policy)
-    if isinstance(policy, Table):
+    if isinstance(policy, TabularPolicy):
         return _of_table(policy)
     network: Any = policy.network
     made = _Quantizing(
@@ -76,9 +76,9 @@ def quantized(
     return made.network()
 
 
-def check_quantizable(policy: NetworkPolicy | Table) -> None:
+def check_quantizable(policy: NetworkPolicy | TabularPolicy) -> None:
     """Refuse a policy that :func:`quantized` cannot make one in integers of, whatever it meets."""
-    if isinstance(policy, Table):
+    if isinstance(policy, TabularPolicy):
         if len(policy.values) != 1:
             raise ArgumentError(
                 f"the policy has {len(policy.values)} tables, a learner each: take one of them"
@@ -110,7 +110,7 @@ def check_quantizable(policy: NetworkPolicy | Table) -> None:
         )
 
 
-def _of_table(policy: Table) -> IntegerNetwork:
+def _of_table(policy: TabularPolicy) -> IntegerNetwork:
     """Return a table of action values as integers, in the order of the values."""
     values = policy.values[0].numpy()
     ranks = np.stack([np.unique(row, return_inverse=True)[1] for row in values])

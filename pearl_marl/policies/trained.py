@@ -283,7 +283,7 @@ class NetworkPolicy(_Trained):
         )
 
 
-class Table(_Trained):
+class TabularPolicy(_Trained):
     """A policy by tables of a value for each observation and action, one table for each learner.
 
     Observations are numbers, or tuples of them. Of ``n``, the first ``n / learners`` are the first learner's,
@@ -325,7 +325,7 @@ class Table(_Trained):
         return masked(self.values.view(-1, self.values.shape[2])[self.rows(obs)], masks).argmax(1)
 
 
-def load(path: Path) -> NetworkPolicy | Table:
+def load(path: Path) -> NetworkPolicy | TabularPolicy:
     """Read a policy, or the one in a run folder.
 
     Raises
@@ -361,12 +361,12 @@ def _check_description(about: Any) -> None:
             raise ArgumentError(f"its policy has the {name} {brief(about[name])}")
 
 
-def _described(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPolicy | Table:
+def _described(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPolicy | TabularPolicy:
     """Make the policy that metadata describe, for these tensors, as yet without them."""
     spec = registered_spec(about["environment"]).with_options(**about["options"])
     if about["kind"] == "table":
         values = tensors.get("values", _SCALAR)
-        return Table(spec, max(1, len(values)) if values.ndim else 1)
+        return TabularPolicy(spec, max(1, len(values)) if values.ndim else 1)
     if about["kind"] == "integers":
         raise ArgumentError("it is a policy in integers, which pearl_marl.load_policy() reads for rollout()")
     if about["kind"] not in KINDS:

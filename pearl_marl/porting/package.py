@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Discrete, MultiBinary, MultiDiscrete, Tuple
 
+from pearl_marl.base.templates import fill
 from pearl_marl.porting.finite import Finite
 from pearl_marl.porting.originals import Original
 from pearl_marl.porting.tables import Tables, padded_size, side_by_side, written
@@ -21,12 +22,6 @@ TEMPLATE = "MyEnvironment"
 SPACES = ("Box", "Discrete", "MultiBinary", "MultiDiscrete", "Tuple")
 WIDTH = 110
 """Letters of a line of code."""
-
-
-def names_in(text: str, words: Mapping[str, str]) -> str:
-    """Return a template with words replaced."""
-    longest_first = sorted(words, key=len, reverse=True)
-    return re.sub("|".join(map(re.escape, longest_first)), lambda match: words[match[0]], text)
 
 
 def own_words(name: str) -> dict[str, str]:
@@ -46,7 +41,7 @@ def filled(template: str, words: Mapping[str, str]) -> dict[str, str]:
         files: dict[str, str] = {}
         for item in folder.iterdir():
             if item.is_file():
-                files[names_in(f"{path}{item.name}", words)] = names_in(item.read_text("utf-8"), words)
+                files[fill(f"{path}{item.name}", words)] = fill(item.read_text("utf-8"), words)
             elif not item.name.startswith((".", "_")):  # caches of pip and of linters
                 files |= walk(item, f"{path}{item.name}/")
         return files

@@ -16,7 +16,7 @@ from pearl_marl.policies import dense
 from pearl_marl.policies.dense import (
     ROWS,
     Layers,
-    Observed,
+    NetworkInputs,
     backward_rows,
     forward_rows,
     gradient_sums,
@@ -45,9 +45,9 @@ def _gradients(
     policy: Layers,
     target: Layers,
     gradients: Layers,
-    inputs: Observed,
-    next_inputs: Observed,
-    target_inputs: Observed,
+    inputs: NetworkInputs,
+    next_inputs: NetworkInputs,
+    target_inputs: NetworkInputs,
     steps: Steps,
     discount: float,
 ) -> float:

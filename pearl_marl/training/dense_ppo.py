@@ -24,7 +24,7 @@ from pearl_marl.policies.dense import (
     ARITHMETIC,
     ROWS,
     Layers,
-    Observed,
+    NetworkInputs,
     backward_rows,
     called,
     exponential,
@@ -167,8 +167,8 @@ def _loss(advantages: Array, rows: Array, clip: float, entropy: float) -> Loss:
 def _gradients(
     weights: Weights,
     gradients: Weights,
-    actor_inputs: Observed,
-    critic_inputs: Observed,
+    actor_inputs: NetworkInputs,
+    critic_inputs: NetworkInputs,
     samples: Samples,
     rows: Array,
     loss: Loss,
@@ -227,7 +227,7 @@ def fits(model: ActorCritic) -> bool:
     return is_dense(model.actor) and is_dense(model.critic) and not model.policy.heads
 
 
-class CompiledGradients:
+class PPOGradients:
     """Finds gradients for minibatches of a rollout, whose steps and agents are one axis.
 
     Called with the rows of a minibatch, it leaves the gradients with the model's parameters, and returns what

@@ -17,7 +17,7 @@ from pearl_marl.policies import dense
 from pearl_marl.policies.dense import (
     ROWS,
     Layers,
-    Observed,
+    NetworkInputs,
     backward_rows,
     forward_rows,
     gradient_sums,
@@ -35,7 +35,7 @@ Array = npt.NDArray[Any]
 def _gradients(
     layers: Layers,
     gradients: Layers,
-    inputs: Observed,
+    inputs: NetworkInputs,
     actions: Array,
     returns: Array,
     rows: Array,
@@ -65,7 +65,7 @@ def _gradients(
 _gradients_of = compiled_loop(_gradients, dense, fused=True)
 
 
-class CompiledGradients:
+class PQNGradients:
     """Finds gradients for minibatches of a rollout, whose steps and agents are one axis.
 
     Called with the rows of a minibatch, it leaves the gradients with the model's parameters, and returns what

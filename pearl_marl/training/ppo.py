@@ -19,7 +19,7 @@ from pearl_marl.policies.network import SHARING
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.actor_critic import ActorCritic
 from pearl_marl.training.agents import TEAM
-from pearl_marl.training.dense_ppo import CompiledGradients, fits
+from pearl_marl.training.dense_ppo import PPOGradients, fits
 from pearl_marl.training.on_policy import OnPolicyTrainer
 from pearl_marl.training.rollout import RolloutBuffer
 from pearl_marl.training.settings import SEEDS, WIDEST, BlockSettings, choice, count, number
@@ -67,7 +67,7 @@ class PPO(OnPolicyTrainer):
     def gradients(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
         """Return a function that finds the gradients of some rows' loss: compiled, if that can be."""
         if fits(self.model):
-            return CompiledGradients(self.model, samples, self.settings.clip, self.settings.entropy)
+            return PPOGradients(self.model, samples, self.settings.clip, self.settings.entropy)
         return partial(self.autograd, samples)
 
     def autograd(self, samples: RolloutBuffer, minibatch: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import masked
-from pearl_marl.policies.trained import Table
+from pearl_marl.policies.trained import TabularPolicy
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.agents import Agents
 from pearl_marl.training.restoring import copied
@@ -82,9 +82,9 @@ class QLearning(Trainer):
                 f"q-learning learns from every step, and in {spec.name} agents take turns: use self-play"
             )
         # Of every agent an observation and some ten numbers; of every entry of a table, one.
-        others = n * 10 * 8 + learners * Table(spec).values.numel() * 4
+        others = n * 10 * 8 + learners * TabularPolicy(spec).values.numel() * 4
         self.need = check_memory(spec, settings, device, ("n_agents", "learners"), n, others)
-        self.policy = Table(spec, learners)
+        self.policy = TabularPolicy(spec, learners)
         entries = len(spec.rewards or ())
         for name, array, shape in (("rates", rates, (learners,)), ("rewards", rewards, (learners, entries))):
             if array is not None and np.shape(array) != shape:

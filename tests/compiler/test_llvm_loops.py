@@ -21,7 +21,7 @@ from llvmlite import ir
 from pearl_marl.base.cache import cache_folder
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.compiler import kernels, llvm_loops
-from pearl_marl.compiler.llvm_functions import FAILED, Code, Column, Value, _Heap
+from pearl_marl.compiler.llvm_functions import FAILED, Code, Value, WordArray, _Heap
 from pearl_marl.compiler.llvm_words import operations
 from pearl_marl.devices import BatchConfig, Native, Reference
 from pearl_marl.envs import get_spec, names
@@ -195,7 +195,10 @@ def test_the_text_grows_as_the_loop_does_and_the_parts_do_not_grow(monkeypatch: 
         pointers = [ir.IntType(32).as_pointer(), ir.FloatType().as_pointer(), ir.IntType(64)]
         function = ir.Function(module, ir.FunctionType(ir.VoidType(), pointers), "row")
         code = Code(ir.IRBuilder(function.append_basic_block()), _Heap, {})
-        words = Column(code, function.args[0], numba.int32), Column(code, function.args[1], numba.float32)
+        words = (
+            WordArray(code, function.args[0], numba.int32),
+            WordArray(code, function.args[1], numba.float32),
+        )
         code.inline(row_of(size), *words, Value(code, function.args[2], numba.int64))
         lines.append(str(module).count("\n"))
     assert 100 < max(accesses) <= MOST + 3
@@ -211,7 +214,7 @@ def test_llvm_compares_no_accesses_of_parts(most: int, monkeypatch: pytest.Monke
     pointers = [ir.IntType(32).as_pointer(), ir.FloatType().as_pointer(), ir.IntType(64), ir.IntType(64)]
     function = ir.Function(module, ir.FunctionType(FAILED, pointers), "mixed")
     code = Code(ir.IRBuilder(function.append_basic_block()), _Heap, {})
-    words = Column(code, function.args[0], numba.int32), Column(code, function.args[1], numba.float32)
+    words = WordArray(code, function.args[0], numba.int32), WordArray(code, function.args[1], numba.float32)
     code.inline(mix, *words, *(Value(code, argument, numba.int64) for argument in function.args[2:]))
     code.ret(FAILED(0))
     parsed = llvm.parse_assembly(str(module))

@@ -79,7 +79,7 @@ class Tables(Policies):
     weight = 8
 
     def policy(self) -> Any:
-        table = trained.Table(self.spec)
+        table = trained.TabularPolicy(self.spec)
         table.values.normal_()
         return table
 

@@ -13,7 +13,7 @@ from scipy import stats
 
 import pearl_marl
 from pearl_marl import EnvSpec
-from pearl_marl.envs.level_based_foraging.free_cells import Grid, count_of
+from pearl_marl.envs.level_based_foraging.free_cells import CellWords, count_of
 from pearl_marl.envs.level_based_foraging.picture import CELL, FOOD, PLAYER
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
@@ -288,7 +288,7 @@ def test_every_free_cell_is_as_likely() -> None:
     """Each number below the count of free cells is another one of them."""
     generator = np.random.default_rng(0)
     for size in (5, 8, 10, 17, 18, 32):
-        grid, n = Grid(size), 10
+        grid, n = CellWords(size), 10
         # Grids of food that came by itself, and how many cells each has left.
         free = [np.full(n, word, np.uint64) for word in grid.all_free()]
         left = [{(r, c) for r in range(1, size - 1) for c in range(1, size - 1)} for _ in range(n)]
@@ -304,7 +304,7 @@ def test_every_free_cell_is_as_likely() -> None:
         ranks = np.arange(max(map(len, left)))[:, None]
         words = [np.broadcast_to(word, (len(ranks), n)) for word in (*free, *counts, ranks)]
 
-        def chosen(*words: Any, grid: Grid = grid, k: int = len(free)) -> Any:
+        def chosen(*words: Any, grid: CellWords = grid, k: int = len(free)) -> Any:
             return grid.chosen(words[:k], words[k : 2 * k], words[-1])
 
         rows, columns = call_reference(chosen, words)

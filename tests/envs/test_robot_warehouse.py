@@ -19,7 +19,7 @@ import pearl_marl
 from pearl_marl import EnvSpec
 from pearl_marl.envs.robot_warehouse import picture
 from pearl_marl.envs.robot_warehouse.moves import AHEAD, make_ties
-from pearl_marl.envs.robot_warehouse.rules import Rules
+from pearl_marl.envs.robot_warehouse.rules import WarehouseRules
 from pearl_marl.envs.robot_warehouse.spec import rules_of
 from pearl_marl.envs.robot_warehouse.step import make_golden
 from pearl_marl.envs.robot_warehouse.ties import in_a_set
@@ -55,7 +55,7 @@ def spec_of(given: dict[str, Any]) -> EnvSpec:
     return pearl_marl.get_spec("RobotWarehouse").with_options(**given)
 
 
-def rules_for(spec: EnvSpec) -> Rules:
+def rules_for(spec: EnvSpec) -> WarehouseRules:
     return rules_of(**{name: value for name, value in spec.options.items() if name != "max_steps"})
 
 
@@ -70,17 +70,17 @@ class Robot(NamedTuple):
 
 
 @functools.cache
-def layout_of(rules: Rules) -> Layout:
+def layout_of(rules: WarehouseRules) -> Layout:
     return Layout(make_golden(rules).state)
 
 
-def parts(rules: Rules, state: Iterable[Any]) -> tuple[list[Robot], list[Any]]:
+def parts(rules: WarehouseRules, state: Iterable[Any]) -> tuple[list[Robot], list[Any]]:
     """Return the robots of a state, and the cells of the shelves that are asked for."""
     robots, requests = layout_of(rules).built(state)
     return [Robot(*robot) for robot in robots], requests
 
 
-def whole(rules: Rules, robots: Sequence[Robot], requests: Sequence[Any]) -> tuple[Any, ...]:
+def whole(rules: WarehouseRules, robots: Sequence[Robot], requests: Sequence[Any]) -> tuple[Any, ...]:
     """Return the words of the state that has these parts."""
     words = 5 if rules.two_stage else 4
     return *(word for robot in robots for word in robot[:words]), *requests
@@ -92,7 +92,7 @@ class Package:
     Its shelves have names and ours have not: here a shelf is known by the rack that it stands in or is from.
     """
 
-    def __init__(self, rules: Rules) -> None:
+    def __init__(self, rules: WarehouseRules) -> None:
         self.rules = rules
         self.env = Warehouse(
             shelf_columns=rules.shelf_columns,
@@ -176,7 +176,7 @@ class Package:
         return robots, set(self.racks) - standing, {self.cell(shelf) for shelf in env.request_queue}
 
 
-def told(rules: Rules, state: list[int]) -> tuple[Any, ...]:
+def told(rules: WarehouseRules, state: list[int]) -> tuple[Any, ...]:
     """Return what :meth:`Package.state` does, of ours."""
     robots, requests = parts(rules, state)
     return (
@@ -186,7 +186,7 @@ def told(rules: Rules, state: list[int]) -> tuple[Any, ...]:
     )
 
 
-def places(rules: Rules, state: list[Array]) -> Array:
+def places(rules: WarehouseRules, state: list[Array]) -> Array:
     """Return columns and rows of the robots, of shape ``(n, robots, 2)``."""
     return np.stack([np.stack([robot.x, robot.y], 1) for robot in parts(rules, state)[0]], 1)
 
@@ -194,7 +194,7 @@ def places(rules: Rules, state: list[Array]) -> Array:
 # ---- Robots in each other's way
 
 
-def crowded(rules: Rules, generator: np.random.Generator) -> list[int]:
+def crowded(rules: WarehouseRules, generator: np.random.Generator) -> list[int]:
     """Return a state in which robots are close together."""
     if generator.random() < 0.6:
         return loaded(rules, generator, queued(rules, generator))
@@ -212,7 +212,7 @@ def crowded(rules: Rules, generator: np.random.Generator) -> list[int]:
     return loaded(rules, generator, robots)
 
 
-def queued(rules: Rules, generator: np.random.Generator) -> list[tuple[int, int, int]]:
+def queued(rules: WarehouseRules, generator: np.random.Generator) -> list[tuple[int, int, int]]:
     """Return robots of which two or more want the same cell, and others want theirs or are anywhere."""
     robots: dict[tuple[int, int], int] = {}
 
@@ -240,7 +240,9 @@ def queued(rules: Rules, generator: np.random.Generator) -> list[tuple[int, int,
     return [(*place, way) for place, way in (list(robots.items())[k] for k in order)]
 
 
-def loaded(rules: Rules, generator: np.random.Generator, robots: list[tuple[int, int, int]]) -> list[int]:
+def loaded(
+    rules: WarehouseRules, generator: np.random.Generator, robots: list[tuple[int, int, int]]
+) -> list[int]:
     """Give shelves to some of the robots, and ask for some of them; return the state."""
     cells = [rules.cell(x, y) for x, y, _ in robots]
     carriers = [k for k in range(len(robots)) if generator.random() < 0.4]
@@ -258,7 +260,7 @@ def loaded(rules: Rules, generator: np.random.Generator, robots: list[tuple[int,
     return list(whole(rules, made, asked))
 
 
-def worked(rules: Rules, state: list[Array], generator: np.random.Generator) -> Array:
+def worked(rules: WarehouseRules, state: list[Array], generator: np.random.Generator) -> Array:
     """Return actions that bring shelves to the goals and back, most of them."""
     robots, requests = parts(rules, state)
     actions = generator.choice(5, p=[0.1, 0.5, 0.15, 0.15, 0.1], size=(len(state[0]), len(robots)))
@@ -269,7 +271,7 @@ def worked(rules: Rules, state: list[Array], generator: np.random.Generator) -> 
     return actions
 
 
-def errand(rules: Rules, x: int, y: int, way: int, origin: int, requests: list[int], k: int) -> int:
+def errand(rules: WarehouseRules, x: int, y: int, way: int, origin: int, requests: list[int], k: int) -> int:
     """Return the action of a robot that fetches, brings, or returns a shelf, if nobody is in its way."""
     last, cell = rules.height - 1, rules.cell(x, y)
     home_y, home_x = divmod(origin or requests[k % len(requests)], rules.stride)
@@ -309,7 +311,7 @@ def compare_all(spec: EnvSpec, games: Games, **arguments: Any) -> Counter[str]:
 
 
 def counted(
-    rules: Rules, before: list[Array], after: list[Array], actions: Array, codes: Array
+    rules: WarehouseRules, before: list[Array], after: list[Array], actions: Array, codes: Array
 ) -> Counter[str]:
     """Count in how many steps there is what."""
     was, now = places(rules, before), places(rules, after)
@@ -466,7 +468,9 @@ def test_starts_of_the_package(n: int) -> None:
     check_starts(rules, *np.array(rows).T)
 
 
-def check_starts(rules: Rules, a: Array, b: Array, directions: Array, first: Array, second: Array) -> None:
+def check_starts(
+    rules: WarehouseRules, a: Array, b: Array, directions: Array, first: Array, second: Array
+) -> None:
     """Hold starts against what is told of them: robots in different cells, and so on, all as likely."""
     n, count = rules.width * rules.height, len(rules.racks)
     assert (a != b).all()

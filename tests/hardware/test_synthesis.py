@@ -16,7 +16,7 @@ from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, fitting, synthesis, toolchain
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import PARTS
-from pearl_marl.hardware.synthesis import Family, Memory, Usage
+from pearl_marl.hardware.synthesis import DesignMemory, Family, Usage
 from pearl_marl.memory_map import default_map, memory_map
 
 SPEC = get_spec("CliffWalking")
@@ -34,7 +34,7 @@ needs_yosys = pytest.mark.skipif(
 def usage(n_envs: int, pe_num: int = 32, data_wl: int = 128, scale: float = 1.0) -> Usage:
     layout = memory_map(SPEC, n_envs, pe_num, data_wl)
     bram36 = fitting.modelled_bram36(layout) * scale
-    memory = Memory("u_elapsed", data_wl, layout.groups, "block RAM")
+    memory = DesignMemory("u_elapsed", data_wl, layout.groups, "block RAM")
     return Usage(n_envs, pe_num, data_wl, 10_000, 3_000, bram36, 0, (memory,), {})
 
 
@@ -82,14 +82,14 @@ def test_a_prediction_that_does_not_hold_is_lowered(monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize(
     ("memory", "misplaced"),
     [
-        (Memory("deep", 32, 600, "LUT RAM"), True),
-        (Memory("deep", 32, 600, "flip-flops"), True),
-        (Memory("deep", 32, 600, "block RAM"), False),
-        (Memory("small", 32, 512, "LUT RAM"), False),
-        (Memory("shallow", 1024, 64, "LUT RAM"), False),
+        (DesignMemory("deep", 32, 600, "LUT RAM"), True),
+        (DesignMemory("deep", 32, 600, "flip-flops"), True),
+        (DesignMemory("deep", 32, 600, "block RAM"), False),
+        (DesignMemory("small", 32, 512, "LUT RAM"), False),
+        (DesignMemory("shallow", 1024, 64, "LUT RAM"), False),
     ],
 )
-def test_large_memories_have_to_be_block_ram(memory: Memory, misplaced: bool) -> None:
+def test_large_memories_have_to_be_block_ram(memory: DesignMemory, misplaced: bool) -> None:
     assert memory.misplaced is misplaced
 
 
@@ -111,7 +111,7 @@ def test_refused_calls(arguments: list[str], sentence: str) -> None:
 
 def test_all_at_once(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
     """A row each, at its default size; a memory in the wrong place is told of any of them."""
-    memory = Memory("u_deep", 32, 600, "LUT RAM")
+    memory = DesignMemory("u_deep", 32, 600, "LUT RAM")
 
     def synthesised(build: Build, family: Family) -> Usage:
         spec, layout = build

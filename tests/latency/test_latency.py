@@ -20,7 +20,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.elaboration import clocked, core_timing
 from pearl_marl.hardware.fitting import PARTS, modelled_bram36, modelled_dsp
-from pearl_marl.hardware.synthesis import Family, Memory, Usage
+from pearl_marl.hardware.synthesis import DesignMemory, Family, Usage
 from pearl_marl.latency import (
     LINKS,
     HostTimes,
@@ -360,7 +360,7 @@ def test_pearl_plan(pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert row.split()[1:4:2] == ["64", f"{result['chosen']['data_wl']}"]
     assert result["reason"].startswith("64 PEs")
     assert result["chosen"]["device"] == pytest.approx(result["loop_cycles"]["ours"] / 100e6)
-    usage = Usage(43008, 64, 256, 12_345, 678, 110.0, 9, (Memory("m", 1, 2, "LUT RAM"),), {})
+    usage = Usage(43008, 64, 256, 12_345, 678, 110.0, 9, (DesignMemory("m", 1, 2, "LUT RAM"),), {})
     monkeypatch.setattr(planning, "synthesised", lambda build: usage)
     assert "12,345 LUT, 678 FF, 110 BRAM36, 9 DSP." in pearl(*arguments)[1]
     large = dataclasses.replace(usage, lut=400_000, dsp=2801)

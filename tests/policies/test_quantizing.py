@@ -24,7 +24,7 @@ from .networks import random_network
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install '.[train]'")
 
 from pearl_marl.policies.quantizing import quantized  # noqa: E402
-from pearl_marl.policies.trained import NetworkPolicy, Table  # noqa: E402
+from pearl_marl.policies.trained import NetworkPolicy, TabularPolicy  # noqa: E402
 
 N = 60
 
@@ -130,7 +130,7 @@ def test_drawn_actions_keep_their_probabilities() -> None:
 
 
 def test_tables_keep_the_order_of_their_values() -> None:
-    policy = Table(pearl_marl.get_spec("Blackjack"))
+    policy = TabularPolicy(pearl_marl.get_spec("Blackjack"))
     policy.values.copy_(torch.randn(policy.values.shape).round(decimals=1))
     network = quantized(policy, np.zeros((0, 3)))
     obs, elements, _ = reached("Blackjack")
@@ -253,7 +253,7 @@ def test_values_of_a_table_are_taken_as_they_are_counted() -> None:
 
 def test_the_command(tmp_path: Path, pearl: Any) -> None:
     """It evaluates both, writes the file, and names what is wrong in one sentence."""
-    policy = Table(pearl_marl.get_spec("CliffWalking"))
+    policy = TabularPolicy(pearl_marl.get_spec("CliffWalking"))
     policy.values[0, :, 0] = 1.0
     policy.save(tmp_path / "policy.safetensors")
     status, out, _ = pearl("quantize", str(tmp_path), "--n-agents", "4", "--json")

@@ -59,7 +59,7 @@ def test_equal_weights_are_equal_bytes(saved: Path, tmp_path: Path) -> None:
 
 
 def test_a_table_is_read_as_it_was_written(tmp_path: Path) -> None:
-    table = trained.Table(get_spec("CliffWalking"), 3)
+    table = trained.TabularPolicy(get_spec("CliffWalking"), 3)
     table.values.normal_()
     table.save(tmp_path / "policy.safetensors")
     assert torch.equal(trained.load(tmp_path).values, table.values)
@@ -166,7 +166,7 @@ def test_tensors_that_no_training_leaves(change: Any, says: str, saved: Path) ->
 def test_a_table_of_any_shape_takes_no_memory(shape: tuple[int, ...], tmp_path: Path) -> None:
     """7.5 GiB, it was, for a shape that has no numbers."""
     path = tmp_path / "policy.safetensors"
-    trained.Table(get_spec("CliffWalking")).save(path)
+    trained.TabularPolicy(get_spec("CliffWalking")).save(path)
     header, _ = parts(path)
     one = {"dtype": "F32", "shape": shape, "data_offsets": [0, 0 if 0 in shape else 4]}
     text = json.dumps({"__metadata__": header, "values": one}).encode()

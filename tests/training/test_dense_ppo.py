@@ -11,7 +11,7 @@ from torch import Tensor
 
 from pearl_marl.envs import get_spec
 from pearl_marl.training import halves
-from pearl_marl.training.dense_ppo import CompiledGradients, fits
+from pearl_marl.training.dense_ppo import PPOGradients, fits
 from pearl_marl.training.rollout import RolloutBuffer
 from pearl_marl.training.run import ALGORITHMS, settings_for
 
@@ -38,7 +38,7 @@ def compiled_and_wanted(
     trainer: Any, samples: RolloutBuffer, rows: Tensor
 ) -> list[tuple[Tensor, list[Tensor]]]:
     settings, results = trainer.settings, []
-    compiled = CompiledGradients(trainer.model, samples, settings.clip, settings.entropy)
+    compiled = PPOGradients(trainer.model, samples, settings.clip, settings.entropy)
     for gradients in (compiled, partial(trainer.autograd, samples)):
         figures = gradients(rows)
         results.append(

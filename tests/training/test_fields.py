@@ -91,7 +91,7 @@ def test_who_chooses_among_numbers_refuses_fields() -> None:
     with pytest.raises(
         ArgumentError, match=r"a column for each action, and Rover's are in MultiDiscrete.*use ppo"
     ):
-        trained.Table(ROVER)
+        trained.TabularPolicy(ROVER)
     with pytest.raises(ArgumentError, match="a table is for discrete observations and actions; Lamps has"):
         table_policy(np.zeros((2, 2, 2, 2, 8)), LAMPS)
 
@@ -102,7 +102,7 @@ def test_several_numbers_choose_a_row() -> None:
     from gymnasium.spaces import MultiDiscrete
 
     spec = replace(LADDER, observation_space=MultiDiscrete([10, 2]))
-    table, twin = trained.Table(spec), trained.Table(LADDER)
+    table, twin = trained.TabularPolicy(spec), trained.TabularPolicy(LADDER)
     obs = torch.tensor([[3, 1], [9, 0]])
     np.testing.assert_array_equal(table.rows(obs), twin.rows(obs))
     values = np.random.default_rng(0).random((10, 2, 2))

@@ -81,7 +81,7 @@ def test_exploration_keeps_to_masks(name: str) -> None:
 
 
 def test_a_table_of_values_keeps_to_masks() -> None:
-    policy = trained.Table(NIM)
+    policy = trained.TabularPolicy(NIM)
     policy.values[0, :, 2] = 1  # to take three looks best
     best = policy.best(torch.tensor([5, 2, 1]), torch.tensor([[1, 1, 1], [1, 1, 0], [1, 0, 0]]))
     assert best.tolist() == [2, 0, 0]

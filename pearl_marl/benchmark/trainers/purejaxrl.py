@@ -23,7 +23,7 @@ from pearl_marl.benchmark.watch import Watch
 from pearl_marl.envs import get_spec
 
 
-class Transition(NamedTuple):
+class LearningStep(NamedTuple):
     """One step of every environment, as learning needs it."""
 
     obs: Any
@@ -34,19 +34,19 @@ class Transition(NamedTuple):
     dones: Any
 
 
-class Statistics(NamedTuple):
+class RunningStatistics(NamedTuple):
     """Mean and variance of all vectors so far."""
 
     mean: Any
     variance: Any
     count: Any
 
-    def updated(self, obs: Any) -> Statistics:
+    def updated(self, obs: Any) -> RunningStatistics:
         """Return the statistics with one batch more."""
         mean, variance, rows = obs.mean(0), obs.var(0), len(obs)
         total, change = self.count + rows, mean - self.mean
         squares = self.variance * self.count + variance * rows + change**2 * self.count * rows / total
-        return Statistics(self.mean + change * rows / total, squares / total, total)
+        return RunningStatistics(self.mean + change * rows / total, squares / total, total)
 
     def scaled(self, obs: Any) -> Any:
         """Return a batch standardised."""
@@ -123,7 +123,7 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
 
     optimiser = optax.chain(optax.clip_by_global_norm(0.5), optax.adam(rate, eps=1e-5))
 
-    def loss(params: Any, step: Transition, gains: Any, targets: Any) -> Any:
+    def loss(params: Any, step: LearningStep, gains: Any, targets: Any) -> Any:
         logits, values = network(params, step.obs)
         chances = jax.nn.log_softmax(logits)
         logs = jnp.take_along_axis(chances, step.actions[:, None], 1)[:, 0]
@@ -150,11 +150,11 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
             statistics = statistics.updated(after)
         dones = terminated | truncated
         rewards = rewards.astype(jnp.float32) * s.reward_scale
-        return (params, statistics, states, after, key), Transition(
+        return (params, statistics, states, after, key), LearningStep(
             inputs, actions, logs, values, rewards, dones
         )
 
-    def advantage(carry: Any, step: Transition) -> Any:
+    def advantage(carry: Any, step: LearningStep) -> Any:
         gain, following = carry
         going_on = 1.0 - step.dones
         gain = (
@@ -193,7 +193,7 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     obs, states = jax.vmap(env.reset, in_axes=(0, None))(jax.random.split(resetting, n), env_params)
     statistics: Any = None
     if vector:
-        statistics = Statistics(jnp.zeros(shape), jnp.ones(shape), jnp.float32(1e-4)).updated(obs)
+        statistics = RunningStatistics(jnp.zeros(shape), jnp.ones(shape), jnp.float32(1e-4)).updated(obs)
     runner = (params, optimiser.init(params), statistics, states, obs, key)
     compiled = jax.jit(update, donate_argnums=0).lower(runner).compile()
     best = jax.jit(lambda params, statistics, obs: network(params, prepared(statistics, obs))[0].argmax(1))

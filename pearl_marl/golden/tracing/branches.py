@@ -23,7 +23,7 @@ MOST_ROUNDS = 1000
 """Rounds after which a ``while`` counts as one without a bound."""
 
 
-class Runtime(Protocol):
+class StatementContext(Protocol):
     """What is known of the statement at hand: :class:`pearl_marl.golden.tracing.runtime.Runtime`."""
 
     graph: Graph
@@ -47,10 +47,10 @@ class Runtime(Protocol):
         """Return what a function gives on a path."""
 
 
-class Frame:
+class CallPaths:
     """The paths of one call of a function."""
 
-    def __init__(self, runtime: Runtime) -> None:
+    def __init__(self, runtime: StatementContext) -> None:
         self.runtime, self.entry, self.mark = runtime, runtime.here, len(runtime.exits)
         self.results: list[tuple[Path, Any]] = []
 
@@ -62,9 +62,9 @@ class Frame:
         """Return what keeps the sides of an ``if``."""
         return Fork(self.runtime, test, before)
 
-    def loop(self) -> Loop:
+    def loop(self) -> LoopPaths:
         """Return what keeps the rounds of a loop."""
-        return Loop(self)
+        return LoopPaths(self)
 
     def returns(self, value: Any) -> None:
         """End a path by ``return``."""
@@ -91,7 +91,7 @@ class Frame:
 class Fork:
     """The two sides of an ``if``."""
 
-    def __init__(self, runtime: Runtime, test: Any, before: tuple[Any, ...]) -> None:
+    def __init__(self, runtime: StatementContext, test: Any, before: tuple[Any, ...]) -> None:
         self.runtime, self.variables, self.start = runtime, before, runtime.here
         self.flag = runtime.truth(test)
         self.sides: list[Path | None]
@@ -152,10 +152,10 @@ def _retagged(path: Path, place: int, exits: Exits) -> Path:
     return dataclasses.replace(path, literals=tuple(literals))
 
 
-class Loop:
+class LoopPaths:
     """The rounds of a ``for`` or a ``while``."""
 
-    def __init__(self, frame: Frame) -> None:
+    def __init__(self, frame: CallPaths) -> None:
         self.frame, self.runtime = frame, frame.runtime
         self.start = self.round = self.runtime.here
         self.mark, self.rounds = len(self.runtime.exits), 0

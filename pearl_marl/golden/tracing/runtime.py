@@ -14,7 +14,7 @@ import numpy as np
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden.rebinding import TypeLike
-from pearl_marl.golden.tracing.branches import Frame
+from pearl_marl.golden.tracing.branches import CallPaths
 from pearl_marl.golden.tracing.graph import Graph
 from pearl_marl.golden.tracing.joining import Listed, Undefined, has_words, joined
 from pearl_marl.golden.tracing.nodes import Node
@@ -74,9 +74,9 @@ class Runtime:
         assert self._path is not None
         return self._path
 
-    def frame(self) -> Frame:
+    def frame(self) -> CallPaths:
         """Return what keeps the paths of a call."""
-        return Frame(self)
+        return CallPaths(self)
 
     def called(self, function: Any) -> Any:
         """Return what is called: what no name of a scope has led to, such as a method, over words, too."""
