@@ -122,6 +122,15 @@ def _traced(
     return Traced(function, graph, words, results, fields)
 
 
+def golden_function(
+    name: str, function: GoldenFunction, inputs: Sequence[Field], results: Sequence[Field]
+) -> list[str]:
+    """Return the lines of one golden function of words, for ``inlined`` to compile."""
+    written = _function(name, _traced(function, inputs, results), inputs)
+    body = [f"    {line}" for some in written.lines for line in some]
+    return [*written.head, *body, f"    return {', '.join(written.results)}"]
+
+
 class _Written(NamedTuple):
     """A function as text: before its body, the lines that make each result, and the results."""
 

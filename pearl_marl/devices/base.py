@@ -383,9 +383,9 @@ class Device(ABC):
             self._remember(observed)
             return result
 
-    def elements(self) -> Observed:
-        """Return what policies in integers are shown now: observations of shape ``(n_agents, elements)``."""
-        return self._look(self.config.spec.in_elements)
+    def shown_to(self, policy: DevicePolicy) -> Observed:
+        """Return what a policy is shown now: observations of shape ``(n_agents, elements)``."""
+        return self._look(policy.shown(self.config.spec))
 
     def _look(self, form: EnvSpec) -> Observed:
         """Return what agents are shown now, with observations as ``form`` has them, a row an agent."""
@@ -406,7 +406,7 @@ class Device(ABC):
         """Do a rollout, by single steps unless there is a faster way; return also what is observed last."""
         elapsed = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).elapsed
         elapsed = elapsed.repeat(self.config.spec.agents)
-        sums = rollouts.Sums.of(elapsed, self.elements().in_episode, self.resetting(), episodes)
+        sums = rollouts.Sums.of(elapsed, self.shown_to(policy).in_episode, self.resetting(), episodes)
         kept = rollouts.Record.of(self.config, steps, policy.logits) if record else None
         observed = rollouts.by_steps(
             self.config,

@@ -200,7 +200,7 @@ class Native(Device):
         self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
     ) -> tuple[Rollout, Observed]:
         config, spec = self.config, self.config.spec
-        seen = spec.in_elements
+        seen = policy.shown(spec)
         compiled = compiled_policy(policy, element_dtype(seen))
         if compiled is None or (record and recorded_form(spec) is not seen):
             return super()._rollout(policy, steps, record, episodes)
@@ -211,14 +211,17 @@ class Native(Device):
         kept = Record.of(config, steps if record else 0, policy.logits)
         in_bytes = kept._replace(observations=kept.observations.view(np.uint8))
         for done, some in in_parts(steps):
-            self._run_rollout(compiled, step, sums, in_bytes.between(done, done + some), some)
+            rows = in_bytes.between(done, done + some)
+            self._run_rollout(compiled, self.shown_to(policy), step, sums, rows, some)
         observed = self._reset(np.zeros(config.n_envs, np.bool_), None)
         return sums.result(steps, kept.arrays(config) if record else {}), observed
 
     @uninterrupted
-    def _run_rollout(self, policy: CompiledPolicy, step: int, sums: Sums, record: Record, steps: int) -> None:
+    def _run_rollout(
+        self, policy: CompiledPolicy, seen: Observed, step: int, sums: Sums, record: Record, steps: int
+    ) -> None:
         """Do some steps of a rollout."""
-        batch = StepArrays.of(self.config, self.elements())
+        batch = StepArrays.of(self.config, seen)
         self._arguments[_SEEDS] = self._seed = self.seed
         arguments = self._arguments.copy()
         arguments[STEP_ARGUMENTS.index("checked")] = 0

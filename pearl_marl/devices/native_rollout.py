@@ -23,9 +23,10 @@ from pearl_marl.devices import rollouts
 from pearl_marl.devices.rollouts import Sums
 from pearl_marl.golden import rng
 from pearl_marl.golden.rng import CHAIN_A, CHAIN_B
-from pearl_marl.policies import dense_policy, device_policy, integer_loops
+from pearl_marl.policies import dense_policy, device_policy, golden_policy, integer_loops
 from pearl_marl.policies.dense_policy import DenseNetwork
 from pearl_marl.policies.device_policy import FIRST_DRAW, CompiledPolicy, DevicePolicy
+from pearl_marl.policies.golden_policy import GoldenPolicy
 from pearl_marl.policies.integer_loops import called
 from pearl_marl.policies.integer_network import IntegerNetwork
 
@@ -203,6 +204,7 @@ observations.
 _COMPILED: Mapping[type, Callable[[Any, np.dtype[Any]], CompiledPolicy]] = {
     IntegerNetwork: integer_loops.compiled,
     DenseNetwork: dense_policy.compiled,
+    GoldenPolicy: golden_policy.compiled,
 }
 
 

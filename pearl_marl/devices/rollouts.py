@@ -186,12 +186,13 @@ def check(config: BatchConfig, policy: object, steps: Any, record: object, episo
         raise ArgumentError(
             f"policy is {policy!r}; a rollout takes a policy in integers, as pearl_marl.load_policy returns"
         )
-    for what in ("observation_space", "action_space"):
-        theirs, own = getattr(policy.spec, what), getattr(spec, what)
-        if theirs != own:
-            raise ArgumentError(
-                f"the policy is for {policy.spec.name} with the {what} {theirs}; here it is {own}"
-            )
+    for form in (lambda spec: spec, policy.shown):
+        for what in ("observation_space", "action_space"):
+            theirs, own = getattr(form(policy.spec), what), getattr(form(spec), what)
+            if theirs != own:
+                raise ArgumentError(
+                    f"the policy is for {policy.spec.name} with the {what} {theirs}; here it is {own}"
+                )
     checked_integer("steps", steps)
     checked_count_or_none("episodes", episodes)
     checked_flag("record", record)
@@ -242,11 +243,11 @@ def by_steps(
     ``see`` returns what agents are shown now, with observations as a spec has them; ``position`` returns seed
     and tick, and ``step`` does a step of all slots with the words of actions.
     """
-    spec, recorded = config.spec, recorded_form(config.spec)
+    spec, recorded, shown = config.spec, recorded_form(config.spec), policy.shown(config.spec)
     room = room_for_words(spec, config.n_agents)
     for t in range(steps):
-        seen = see(spec.in_elements)
-        obs = seen.obs if recorded is spec.in_elements or record is None else see(recorded).obs
+        seen = see(shown)
+        obs = seen.obs if recorded is shown or record is None else see(recorded).obs
         choice = chosen(config, policy, seen, *position())
         room.reshape(choice.words.shape)[:] = choice.words
         result = step(room).on_host()

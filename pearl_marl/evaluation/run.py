@@ -297,7 +297,7 @@ def acting(policy: Policy | DevicePolicy, device: Callable[[], Device]) -> Polic
 
     def choose(*_: Array) -> Array:
         on = device()
-        choice = rollouts.chosen(on.config, policy, on.elements(), on.seed, on.tick)
+        choice = rollouts.chosen(on.config, policy, on.shown_to(policy), on.seed, on.tick)
         return rollouts.actions_of(on.config.spec, choice.words)
 
     return choose

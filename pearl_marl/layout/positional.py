@@ -47,7 +47,7 @@ def initial_of(state: Layout, function: GoldenFunction) -> GoldenFunction:
     def initial(*draws: Word) -> tuple[Word, ...]:
         return tuple(flat(function(draws_of(draws, fraction))))
 
-    return _as(state, function, initial, "draws")
+    return _as(state.fraction, function, initial, "draws")
 
 
 def step_of(
@@ -65,7 +65,7 @@ def step_of(
     def step(*words: Word) -> tuple[Word, ...]:
         return call.words(function(*call.arguments(words)))
 
-    return _as(state, function, step, "state", "actions" if world else "action", "draws")
+    return _as(state.fraction, function, step, "state", "actions" if world else "action", "draws")
 
 
 class _Step:
@@ -141,7 +141,49 @@ def view_of(
     def observed(*words: Word) -> tuple[Word, ...]:
         return tuple(words_of(function(built(words[:count]), *words[count:], *alone)))
 
-    return _as(state, function, observed, "state", *["agent"] * world)
+    return _as(state.fraction, function, observed, "state", *["agent"] * world)
+
+
+def act_of(
+    view: Layout | None, function: GoldenFunction, count: int, action: Sequence[Field], fraction: int | None
+) -> GoldenFunction:
+    """Return ``act(view, draws)`` as a function of an observation's ``count`` words and of draws."""
+    call = _Act(view, count, action, fraction)
+
+    def act(*words: Word) -> tuple[Word, ...]:
+        return call.words(function(*call.arguments(words)))
+
+    return _as(fraction, function, act, "view", "draws")
+
+
+class _Act(NamedTuple):
+    """What a policy takes and returns, made of words and into words."""
+
+    view: Layout | None
+    count: int
+    action: Sequence[Field]
+    fraction: int | None
+
+    def arguments(self, words: Sequence[Word]) -> tuple[Any, Draws]:
+        """Return what is seen and draws."""
+        return view_from(self.view, words[: self.count]), Draws(words[self.count :], self.fraction)
+
+    def words(self, chosen: Any) -> tuple[Word, ...]:
+        """Return the words of an action; a real saturates."""
+        numbers = tuple(chosen) if isinstance(chosen, (tuple, list)) else (chosen,)
+        if self.fraction is None or len(numbers) != len(self.action):  # which is refused
+            return numbers
+        return tuple(
+            stored(number, field.low, field.high, field.fraction) if field.fraction else number
+            for number, field in zip(numbers, self.action, strict=True)
+        )
+
+
+def view_from(view: Layout | None, words: Sequence[Word]) -> Any:
+    """Return what ``act()`` is given: an object of the view, or without one the word, or a tuple of words."""
+    if view is not None:
+        return view.built(words)
+    return words[0] if len(words) == 1 else tuple(words)
 
 
 def takes_agent(observe: GoldenFunction) -> bool:
@@ -245,14 +287,16 @@ def _written(value: Any, scope: dict[str, Any]) -> str:
     return f"{name}({parts})"
 
 
-def _as(state: Layout, function: GoldenFunction, wrapper: Callable[..., Any], *given: str) -> GoldenFunction:
+def _as(
+    fraction: int | None, function: GoldenFunction, wrapper: Callable[..., Any], *given: str
+) -> GoldenFunction:
     """Return a wrapper that messages name like the function in it."""
     if not inspect.isfunction(function):
         raise ArgumentError(f"{function!r} is no plain Python function, and a golden function is one")
     _called_with(function, *given)
     wrapper.__name__, wrapper.__module__ = function.__name__, function.__module__
     wrapper.author = function  # type: ignore[attr-defined]
-    if state.fraction is not None:
+    if fraction is not None:
         wrapper.admits = admitted  # type: ignore[attr-defined]
     return wrapper
 

@@ -77,6 +77,10 @@ class DevicePolicy(ABC):
     logits: int = 0
     """How many logits an action is chosen by."""
 
+    def shown(self, spec: EnvSpec) -> EnvSpec:
+        """Return an environment with the elements that the policy is shown as observations."""
+        return spec.in_elements
+
     @abstractmethod
     def choose(self, elements: Array, agents: Array, masks: Array | None, draws: Array) -> ActionChoice:
         """Return an action for each agent.

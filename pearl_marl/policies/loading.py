@@ -49,7 +49,7 @@ def load_policy(name: str, spec: EnvSpec, seed: int = 0) -> Policy | DevicePolic
         ``q``): a table of action values, of shape ``(*observations, actions)``; the greedy policy.
         ``FILE.zip``: a model of Stable-Baselines3, without exploration. A folder of ``pearl train``, or its
         ``policy.safetensors``: what was learned. A file of ``pearl quantize``: a policy in integers.
-        ``MODULE:FUNCTION`` or ``FILE.py:FUNCTION``: a function.
+        ``MODULE:NAME`` or ``FILE.py:NAME``: a function, or a policy that runs beside the environments.
     spec
         The environment it is for.
     seed
@@ -155,7 +155,7 @@ def _table(path: Path, spec: EnvSpec, _: int) -> Policy:
     return policy
 
 
-def _function(module: str, name: str) -> Policy:
+def _function(module: str, name: str) -> Policy | DevicePolicy:
     path = Path(module)
     try:
         if path.suffix == ".py":
@@ -171,8 +171,10 @@ def _function(module: str, name: str) -> Policy:
             f"the module of the policy, {module}, cannot be imported: {_what_happened(error)}"
         ) from error
     policy = getattr(found, name, None)
+    if isinstance(policy, DevicePolicy):
+        return policy
     if not callable(policy):
-        raise ArgumentError(f"{module} has no function {name!r}")
+        raise ArgumentError(f"{module} has no function or policy {name!r}")
 
     def guarded(call: Callable[..., Any]) -> Any:
         def called(*arguments: Array) -> Any:

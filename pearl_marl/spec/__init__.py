@@ -31,12 +31,14 @@ from pearl_marl.layout.fields import word_bits as word_bits
 from pearl_marl.layout.positional import (
     UNPACKED_FRACTION,
     Positional,
+    act_of,
     in_fixed_point,
     initial_of,
     plain_unpack_of,
     step_of,
     takes_agent,
     unpack_of,
+    view_from,
     view_of,
 )
 from pearl_marl.spec.elements import ActionSpace, action_counts, are_numbers, bounds
@@ -307,6 +309,20 @@ class EnvSpec:
             None if self.unpack is None else unpack_of(golden.view, self.unpack, self.observation),
         )
 
+    def act_of_words(self, act: GoldenFunction) -> tuple[GoldenFunction, int]:
+        """Return an author's ``act(view, draws)`` as a function of words, and how many draws it asks for.
+
+        The words are those of an observation, and then the draws.
+        """
+        view, fraction = self._view, self.layout.fraction
+        function = act_of(view, act, len(self.observation), self.action_fields, fraction)
+        # No path through it changes how many it asks for: any observation will do.
+        state = call_reference(self.positional.initial, [0] * self.reset_draws)
+        words = call_reference(self.positional.observe, state, *self.views[0])
+        counting = CountingDraws(fraction)
+        as_python_runs_it(act, fraction is not None)(view_from(view, list(map(int, words))), counting)
+        return function, counting.count
+
     @cached_property
     def plain_unpack(self) -> GoldenFunction | None:
         """``unpack(*observation, row)`` as Python runs it, without the code that is generated for kernels."""
@@ -514,12 +530,25 @@ class EnvSpec:
             unpack = in_fixed_point(self.unpack, self.observation_dtype)
             space = Box(np.iinfo(dtype).min, np.iinfo(dtype).max, self.observation_shape, dtype)
             return self._observing(space, unpack=unpack)
+        return self._observing_words
+
+    @property
+    def in_words(self) -> EnvSpec:
+        """The same environment with the words that ``observe()`` returns as observations."""
+        return self.in_elements if self.unpack is None else self._observing_words
+
+    @cached_property
+    def _observing_words(self) -> EnvSpec:
         words = tuple(replace(word, fraction=0) for word in self.observation)
         dtype = np.dtype(np.int64 if any(word.bits + (not word.signed) > 32 for word in words) else np.int32)
+        if any(word.high >= 1 << 63 for word in words):
+            raise ArgumentError(
+                f"{self.name}: an observation has words of 64 bits; a policy is shown 63 at most"
+            )
         low, high = np.array([word.range for word in words], np.int64).T
-        return self._observing(
-            Box(low.astype(dtype), high.astype(dtype), (len(words),), dtype), observation=words
-        )
+        kind: Any = dtype
+        space = Box(low.astype(dtype), high.astype(dtype), (len(words),), kind)
+        return self._observing(space, observation=words, unpack=None)
 
     def _observing(self, space: Box, **changes: Any) -> EnvSpec:
         """Return the same environment with another observation space."""

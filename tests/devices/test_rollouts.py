@@ -72,7 +72,7 @@ def test_elements_are_what_observations_are_made_of(name: str) -> None:
     scale = 2.0 ** -np.array(spec.element_fractions)
     exact = spec.unpack is None or spec.in_elements is spec  # floats that unpack() writes are rounded
     for _ in range(4):
-        elements = device.elements().obs
+        elements = device.shown_to(policy).obs
         obs = device.rollout(policy, 1, record=True).observations.reshape(elements.shape)
         assert elements.dtype.kind in "biu"
         numbers = elements.astype(obs.dtype) * scale

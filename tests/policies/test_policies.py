@@ -111,8 +111,8 @@ def test_functions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in (f"{path}:lean", "my_policies_of_this_test:lean"):
         assert load_policy(name, POLE)(poles).tolist() == [1, 0]
     for name, says in (
-        (f"{path}:fall", "has no function 'fall'"),
-        (f"{path}:number", "has no function 'number'"),
+        (f"{path}:fall", "has no function or policy 'fall'"),
+        (f"{path}:number", "has no function or policy 'number'"),
         (f"{tmp_path}/nowhere.py:lean", "cannot be imported: .*No such file"),
         ("no_such_module_anywhere:lean", "cannot be imported: No module named"),
     ):

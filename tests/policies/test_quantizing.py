@@ -13,6 +13,7 @@ from gymnasium.spaces import Box
 
 import pearl_marl
 from pearl_marl.devices import BatchConfig, Native
+from pearl_marl.devices.rollouts import look
 from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation import Evaluation
 from pearl_marl.policies import integer_file
@@ -44,7 +45,8 @@ def reached(name: str, steps: int = 30) -> tuple[Array, Array, Array | None]:
         else:
             actions = rng.uniform(-1, 1, (N * spec.agents, len(spec.action_fields)))
         obs = device.step(actions).obs
-    return obs, device.elements().obs, device.action_masks
+    elements = look(device.config, spec.in_elements, device.snapshot().memory).obs
+    return obs, elements, device.action_masks
 
 
 def trained(name: str, kind: str, width: int = 24, **how: Any) -> NetworkPolicy:
