@@ -385,7 +385,7 @@ class Device(ABC):
 
     def shown_to(self, policy: DevicePolicy) -> Observed:
         """Return what a policy is shown now: observations of shape ``(n_agents, elements)``."""
-        return self._look(policy.shown(self.config.spec))
+        return self._look(policy.form(self.config.spec))
 
     def _look(self, form: EnvSpec) -> Observed:
         """Return what agents are shown now, with observations as ``form`` has them, a row an agent."""

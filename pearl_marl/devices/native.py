@@ -200,7 +200,7 @@ class Native(Device):
         self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
     ) -> tuple[Rollout, Observed]:
         config, spec = self.config, self.config.spec
-        seen = policy.shown(spec)
+        seen = policy.form(spec)
         compiled = compiled_policy(policy, element_dtype(seen))
         if compiled is None or (record and recorded_form(spec) is not seen):
             return super()._rollout(policy, steps, record, episodes)

@@ -186,7 +186,7 @@ def check(config: BatchConfig, policy: object, steps: Any, record: object, episo
         raise ArgumentError(
             f"policy is {policy!r}; a rollout takes a policy in integers, as pearl_marl.load_policy returns"
         )
-    for form in (lambda spec: spec, policy.shown):
+    for form in (lambda spec: spec, policy.form):
         for what in ("observation_space", "action_space"):
             theirs, own = getattr(form(policy.spec), what), getattr(form(spec), what)
             if theirs != own:
@@ -243,7 +243,7 @@ def by_steps(
     ``see`` returns what agents are shown now, with observations as a spec has them; ``position`` returns seed
     and tick, and ``step`` does a step of all slots with the words of actions.
     """
-    spec, recorded, shown = config.spec, recorded_form(config.spec), policy.shown(config.spec)
+    spec, recorded, shown = config.spec, recorded_form(config.spec), policy.form(config.spec)
     room = room_for_words(spec, config.n_agents)
     for t in range(steps):
         seen = see(shown)

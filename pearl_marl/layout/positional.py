@@ -160,13 +160,13 @@ class _Act(NamedTuple):
     """What a policy takes and returns, made of words and into words."""
 
     view: Layout | None
-    count: int
+    words_seen: int
     action: Sequence[Field]
     fraction: int | None
 
     def arguments(self, words: Sequence[Word]) -> tuple[Any, Draws]:
         """Return what is seen and draws."""
-        return view_from(self.view, words[: self.count]), Draws(words[self.count :], self.fraction)
+        return view_from(self.view, words[: self.words_seen]), Draws(words[self.words_seen :], self.fraction)
 
     def words(self, chosen: Any) -> tuple[Word, ...]:
         """Return the words of an action; a real saturates."""

@@ -77,7 +77,7 @@ class DevicePolicy(ABC):
     logits: int = 0
     """How many logits an action is chosen by."""
 
-    def shown(self, spec: EnvSpec) -> EnvSpec:
+    def form(self, spec: EnvSpec) -> EnvSpec:
         """Return an environment with the elements that the policy is shown as observations."""
         return spec.in_elements
 

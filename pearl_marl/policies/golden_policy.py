@@ -73,7 +73,7 @@ class GoldenPolicy(DevicePolicy):
     def _inputs(self) -> list[Field]:
         return [*self.spec.observation, *(Field(f"draw_{k}", 32) for k in range(self.draws))]
 
-    def shown(self, spec: EnvSpec) -> EnvSpec:
+    def form(self, spec: EnvSpec) -> EnvSpec:
         """See :class:`DevicePolicy`: the words that ``observe()`` returns."""
         return spec.in_words
 
@@ -91,15 +91,15 @@ class GoldenPolicy(DevicePolicy):
         """What is compiled of it."""
         spec, inputs = self.spec, self._inputs
         count, element = len(spec.observation), spec.in_words.observation_dtype
-        shown = [f"np.{f.dtype}(shown[s, {k}])" for k, f in enumerate(inputs[:count])]
-        given = ", ".join([*shown, *(f"draws[s, {k}]" for k in range(self.draws))])
+        columns = [f"np.{f.dtype}(elements_of[s, {k}])" for k, f in enumerate(inputs[:count])]
+        given = ", ".join([*columns, *(f"draws[s, {k}]" for k in range(self.draws))])
         chosen = ", ".join(f"action_{k}" for k in range(len(spec.action_fields)))
         lines = [
             *golden_function("act", self._of_words, inputs, spec.action_fields),
             "",
             "",
             "def act_all(at, elements, masks, draws, words, logits):",
-            f"    shown = elements.view(np.{np.uint8 if element == np.bool_ else element})"
+            f"    elements_of = elements.view(np.{np.uint8 if element == np.bool_ else element})"
             f".reshape((len(words), {count}))",
             "    for s in range(len(words)):",
             f"        {chosen} = act({given})",
