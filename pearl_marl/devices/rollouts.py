@@ -243,11 +243,11 @@ def by_steps(
     ``see`` returns what agents are shown now, with observations as a spec has them; ``position`` returns seed
     and tick, and ``step`` does a step of all slots with the words of actions.
     """
-    spec, recorded, shown = config.spec, recorded_form(config.spec), policy.form(config.spec)
+    spec, recorded, form = config.spec, recorded_form(config.spec), policy.form(config.spec)
     room = room_for_words(spec, config.n_agents)
     for t in range(steps):
-        seen = see(shown)
-        obs = seen.obs if recorded is shown or record is None else see(recorded).obs
+        seen = see(form)
+        obs = seen.obs if recorded is form or record is None else see(recorded).obs
         choice = chosen(config, policy, seen, *position())
         room.reshape(choice.words.shape)[:] = choice.words
         result = step(room).on_host()
