@@ -114,7 +114,7 @@ class Docstrings(griffe.Extension):
     """What the reference shows of docstrings, and one name that griffe gets wrong."""
 
     def on_instance(self, *, obj: griffe.Object, **_: Any) -> None:
-        """Make links of Sphinx's roles, and leave out what a room may import."""
+        """Make links of Sphinx's roles."""
         if obj.docstring is None:
             return
         scope = obj if obj.is_class or obj.is_module else obj.parent
@@ -123,8 +123,8 @@ class Docstrings(griffe.Extension):
             name = role[1] if role[1].startswith("pearl_marl") or scope is None else f"{scope.path}.{role[1]}"
             return f'<autoref optional identifier="{name}"><code>{role[1].split(".")[-1]}</code></autoref>'
 
-        text = re.sub(r":(?:func|class|meth|mod|attr|data):`~?([\w.]+)`", link, obj.docstring.value)
-        obj.docstring.value = re.sub(r"(?m)^(It m|M)ay import .*(\n.+)*", "", text)
+        roles = r":(?:func|class|meth|mod|attr|data):`~?([\w.]+)`"
+        obj.docstring.value = re.sub(roles, link, obj.docstring.value)
 
     def on_alias_instance(self, *, alias: griffe.Alias, **_: Any) -> None:
         """Take out what griffe makes of ``import pearl_marl.wrappers as wrappers``: an alias of itself."""

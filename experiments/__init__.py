@@ -1,4 +1,1 @@
-"""Scripts: one for each table and figure, and the report; installed as ``pearl_marl.experiments``.
-
-They may import everything but ``cli``.
-"""
+"""Scripts: one for each table and figure, and the report; installed as ``pearl_marl.experiments``."""

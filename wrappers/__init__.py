@@ -4,8 +4,6 @@ Each takes an environment of :func:`pearl_marl.parallel_env` or :func:`pearl_mar
 one of the same interface. They know when which agent's episode begins, so that what one episode leaves
 behind never reaches the next; what they draw at random is each agent's own, from the seed of ``reset``;
 and the dicts of a step stay unfilled until they are read.
-
-May import ``interfaces``, ``evaluation`` and what is below them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,1 @@
-"""What everything stands on: files, the cache folder, compiled code, and calls that signals do not interrupt.
-
-May import ``errors``.
-"""
+"""What everything stands on: files, the cache folder, compiled code, calls that signals do not interrupt."""

@@ -1,5 +1,4 @@
 """Speed, beside that of other packages and measured in turns: of steps, many agents, and whole trainings.
 
-May import everything but the experiments and ``cli``. ``training`` needs the ``train`` extra, and the
-trainers of other packages need ``peers``.
+``training`` needs the ``train`` extra, and the trainers of other packages need ``peers``.
 """

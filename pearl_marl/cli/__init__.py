@@ -1,7 +1,4 @@
-"""The command line: ``pearl``. One file a command, which is imported when it is called.
-
-May import everything; of the experiments, :mod:`~pearl_marl.cli.report` alone.
-"""
+"""The command line: ``pearl``. One file a command, which is imported when it is called."""
 
 from __future__ import annotations
 

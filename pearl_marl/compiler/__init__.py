@@ -1,4 +1,1 @@
-"""From golden functions to compiled kernels for the CPU and the GPU.
-
-May import ``batch`` and what is below it.
-"""
+"""From golden functions to compiled kernels for the CPU and the GPU."""

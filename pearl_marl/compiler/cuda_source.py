@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from gymnasium.spaces import Box
 
-from pearl_marl.base.templates import fill
+from pearl_marl.base.placeholders import fill
 from pearl_marl.batch import slot_memory
 from pearl_marl.compiler.flag_runs import cell_dtype
 from pearl_marl.compiler.straight_line import golden_functions, maskers, observers, orders

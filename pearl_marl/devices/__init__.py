@@ -16,8 +16,6 @@
 
 :class:`Lockstep` steps two of them as one and compares every word. :class:`Sharded` shares the slots among
 several, :class:`Ray` among actors of a Ray cluster.
-
-May import ``batch``, ``compiler``, ``hardware`` and what is below them.
 """
 
 from __future__ import annotations

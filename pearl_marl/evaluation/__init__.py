@@ -1,7 +1,4 @@
-"""How well a policy does on a device: runs, what each stage of a step takes, a page about it.
-
-May import ``devices``, ``policies`` and what is below them.
-"""
+"""How well a policy does on a device: runs, what each stage of a step takes, a page about it."""
 
 from pearl_marl.evaluation.matches import Match, cross_table
 from pearl_marl.evaluation.run import LIMIT, Evaluation

@@ -200,11 +200,9 @@ class Evaluation:
                 yield from (None,) * (ended - counted)
                 counted = ended
             self.steps += steps
-            self._add(*(array[agents] for array in (sums.returns, sums.lengths, sums.truncated)))
-            episodes = self._first[agents] + self._done[agents]
-            self._returns[episodes], self._lengths[episodes] = sums.returns[agents], sums.lengths[agents]
-            self.truncated += int(sums.truncated[agents].sum())
-            self._done[agents] += 1
+            results = [array[agents] for array in (sums.returns, sums.lengths, sums.truncated)]
+            self._add(*results)
+            self._record(agents, *results)
             seed = int(later.integers(1 << 31))
 
     def _observed(self, obs: Array) -> tuple[Array, ...]:
@@ -220,12 +218,18 @@ class Evaluation:
         self.steps += 1
         ended = self._running.add(step)
         wanted = self._done[ended.slots] < self._quota[ended.slots]
-        slots = ended.slots[wanted]
-        episodes = self._first[slots] + self._done[slots]
-        self._returns[episodes], self._lengths[episodes] = ended.returns[wanted], ended.lengths[wanted]
-        self.truncated += int(np.count_nonzero(ended.truncated[wanted]))
-        self._done[slots] += 1
-        return slots.size
+        agents, *results = (
+            array[wanted] for array in (ended.slots, ended.returns, ended.lengths, ended.truncated)
+        )
+        self._record(agents, *results)
+        return agents.size
+
+    def _record(self, agents: Array, returns: Array, lengths: Array, truncated: Array) -> None:
+        """Keep the next episode of each of some agents."""
+        episodes = self._first[agents] + self._done[agents]
+        self._returns[episodes], self._lengths[episodes] = returns, lengths
+        self.truncated += int(truncated.sum())
+        self._done[agents] += 1
 
     @property
     def digest(self) -> str:

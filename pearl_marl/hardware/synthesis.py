@@ -215,10 +215,10 @@ def synthesise(build: Build, family: Family = Family.XC7, *, fmax: bool = False)
     return _usage(build.layout, found, job.tools)
 
 
-def synthesised(build: Build, family: Family = Family.XC7) -> Usage | None:
+def synthesised(build: Build) -> Usage | None:
     """Return the result of :func:`synthesise` if it is in the cache, and do no work for it."""
     try:
-        job = _job(build, family, placement=None)
+        job = _job(build, Family.XC7, placement=None)
     except DeviceError:  # no tools
         return None
     found = _read(job.path)

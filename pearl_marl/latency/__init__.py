@@ -16,8 +16,6 @@ A rollout with a policy engine is counted likewise (:func:`rollout_step_cycles` 
 Where the paper's hardware takes T3, T4 and T5 partly one after the other (its Eq. 2 and 3, see
 :class:`~pearl_marl.latency.cycles.LoopCycles`), this one does all three at the same time. Its form without
 pipeline, which the paper compares with, is :func:`predict` with ``pipelined=False``.
-
-May import ``devices``, ``hardware`` and what is below them.
 """
 
 from pearl_marl.latency.cycles import axi_cycles, draws_wait, loop_cycles, step_cycles

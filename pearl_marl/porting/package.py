@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Discrete, MultiBinary, MultiDiscrete, Tuple
 
-from pearl_marl.base.templates import fill
+from pearl_marl.base.placeholders import fill
 from pearl_marl.porting.finite import Finite
 from pearl_marl.porting.originals import Original
 from pearl_marl.porting.tables import Tables, padded_size, side_by_side, written

@@ -8,7 +8,7 @@ A test module of yours runs all of it with
 ...     devices = ("native", "rtl")
 
 This repository's own ``tests/contract`` does the same, for its environments and its devices. The
-package needs pytest: ``pip install '.[testing]'``. It may import everything below ``training``.
+package needs pytest: ``pip install '.[testing]'``.
 """
 
 import pkgutil

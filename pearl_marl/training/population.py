@@ -42,8 +42,8 @@ class Population:
         Where their folders are, and at the end ``spread.csv`` and ``learning_curves.png``.
     seeds
         How many.
-    evaluated, checkpoint_seconds
-        Of each run.
+    evaluated
+        Agents whose first episodes are an evaluation of each run.
 
     Attributes
     ----------
@@ -51,14 +51,7 @@ class Population:
         Why runs cannot go on, by their seeds. The spread is without them.
     """
 
-    def __init__(
-        self,
-        training: Training,
-        folder: Path,
-        seeds: int,
-        evaluated: int | None = None,
-        checkpoint_seconds: float = 20.0,
-    ) -> None:
+    def __init__(self, training: Training, folder: Path, seeds: int, evaluated: int | None = None) -> None:
         if not 1 <= seeds <= MOST:
             raise ArgumentError(f"--seeds is {seeds}; it must be an integer from 1 to {MOST}")
         self.folder, self.training, first = folder, training, training.settings.seed
@@ -69,7 +62,7 @@ class Population:
             settings = dataclasses.replace(training.settings, seed=seed)
             one = dataclasses.replace(training, settings=settings)
             path = folder / f"seed-{seed}"
-            run = TrainingRun(one, path, None, evaluated, checkpoint_seconds)
+            run = TrainingRun(one, path, None, evaluated)
             need = run.trainer.need
             need.check(seeds if need.lasting else min(seeds, os.cpu_count() or 1))
             self.runs.append(run)

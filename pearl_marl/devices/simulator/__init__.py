@@ -1,4 +1,1 @@
-"""The hardware under Verilator: built once and kept, and stepped through one call in C++.
-
-May import ``hardware`` and what is below it.
-"""
+"""The hardware under Verilator: built once and kept, and stepped through one call in C++."""

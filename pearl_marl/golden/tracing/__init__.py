@@ -1,4 +1,1 @@
-"""From a golden function to the graph of what it does, and what is wrong with it.
-
-May import ``rebinding`` and what is below ``golden``.
-"""
+"""From a golden function to the graph of what it does, and what is wrong with it."""

@@ -1,4 +1,4 @@
-"""Texts with words to be replaced, such as modules that hold examples of their own names."""
+"""Texts with placeholders, which are words of any kind: a name, or a line of its own."""
 
 from __future__ import annotations
 
