@@ -185,6 +185,8 @@ def test_what_is_observed_is_in_the_ranges_of_its_fields() -> None:
 
 FIRST = [(env, all_options[0], elaboration.TARGET) for env, all_options in OPTIONS.items()]
 OTHERS = [(env, options) for env, options in CASES if options is not OPTIONS[env][0]]
+if not sampling.exhaustive:  # a third of them, for all families and clocks
+    OTHERS = OTHERS[::3]
 ENVIRONMENTS = (
     FIRST + WORLDS + FIELDS + [(*case, TARGETS[i * 4 % len(TARGETS)]) for i, case in enumerate(OTHERS)]
 )
@@ -192,7 +194,7 @@ ENVIRONMENTS = (
 
 RANDOM: list[tuple[str, dict[str, Any], Target]] = [
     ("Random", {"seed": seed, "divided": 14 <= seed < 20, "reals": seed >= 20}, TARGETS[seed % len(TARGETS)])
-    for seed in ((*range(5), *range(17, 22)) if sampling.exhaustive else (0, 3, 17, 20, 21))
+    for seed in ((*range(5), *range(17, 22)) if sampling.exhaustive else (0, 17, 21))
 ]
 
 
