@@ -15,7 +15,6 @@ from pearl_marl.spec.elements import bounds
 from pearl_marl.testing.case import Array
 from pearl_marl.verification import sticky_actions
 
-
 NEXT = AutoresetMode.NEXT_STEP
 
 

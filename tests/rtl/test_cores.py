@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+import scipy.optimize
 from bench import spec_of
 from cases import all_cases, edge_draws, golden, split
 from gymnasium.spaces import Discrete, MultiBinary
@@ -271,3 +272,13 @@ def test_stages_are_in_order_and_short_enough(env: str, target: Target) -> None:
         for arg in node.args:
             if arg in schedule.stage:
                 assert schedule.stage[arg] <= schedule.stage[node] <= schedule.last[arg]
+
+
+def test_stages_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To find those of a core can take seconds."""
+    spec, target = get_spec("Blackjack"), Target("xc7", 150)
+    first = generated_core(spec, target).text
+    monkeypatch.setattr(scipy.optimize, "milp", lambda *_, **__: pytest.fail("they were found again"))
+    assert generated_core(spec, target).text == first
+    with pytest.raises(pytest.fail.Exception, match="found again"):
+        generated_core(spec.with_options(natural=True), Target("gowin", 151))
