@@ -6,6 +6,7 @@ and carries a checksum, as what builds share does: one that a full disk or a cra
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import json
@@ -125,17 +126,20 @@ def _build(entry: Path, arguments: list[str], code: str, traced: bool, light: bo
         result.mkdir()
         pyverilator_model.generate(work, arguments, code, traced)
         common = entry.parent / f"verilated-{_digest(_tools(), _LIBRARY, _LIGHT, _HEADERS)}"
-        _lend(common, work)
         jobs = len(os.sched_getaffinity(0))
         make = ["make", "-C", str(work), "-f", f"V{pyverilator_model.TOP}.mk", f"-j{jobs}"]
-        if light:
-            make += _LIGHT_MAKE
-            (work / f"{_ONCE[0]}.cpp").write_text(_ONCE[1])
-            headers = _compiled_headers(common, work, [*make, f"OPT_FAST={_LIGHT}"], traced)
-            toolchain.run([*make, f"OPT_FAST={_LIGHT} -include {headers}"])
-        else:
-            toolchain.run([*make, *_MAKE])
-        _keep(work, common)
+        with contextlib.ExitStack() as alone:
+            if not any(common.glob("*.o")):  # others wait for the first build, and have that from it
+                alone.enter_context(locked(common / "lock"))
+            _lend(common, work)
+            if light:
+                make += _LIGHT_MAKE
+                (work / f"{_ONCE[0]}.cpp").write_text(_ONCE[1])
+                headers = _compiled_headers(common, work, [*make, f"OPT_FAST={_LIGHT}"], traced)
+                toolchain.run([*make, f"OPT_FAST={_LIGHT} -include {headers}"])
+            else:
+                toolchain.run([*make, *_MAKE])
+            _keep(work, common)
         built = (work / f"V{pyverilator_model.TOP}").rename(result / "model.so")
         (result / _CHECKSUM).write_bytes(checksum(built.read_bytes()))
         result.rename(entry)
