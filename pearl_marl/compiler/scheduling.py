@@ -8,12 +8,17 @@ integers which ones are long, and is content with nearly the least.
 
 from __future__ import annotations
 
+import hashlib
 import heapq
+import inspect
+import json
 import math
+import sys
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from pearl_marl.base.cache import cache_folder, keep, kept
 from pearl_marl.compiler.core_graph import Output
 from pearl_marl.compiler.targets import Target
 from pearl_marl.compiler.widths import WIRES, used_bits, width
@@ -85,9 +90,10 @@ def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
         for i, stages in gaps[j].items():
             late[i] = min(late[i], late[j] - stages)
     window = list(zip(early, late, strict=True))
-    stage = _fewest_registers(
-        arguments, gaps, ends, bits, latency, window, before, behind, target.family.shift_register
+    problem = _Problem(
+        arguments, gaps, sorted(ends), bits, latency, window, before, behind, target.family.shift_register
     )
+    stage = _fewest_registers(problem)
     last = list(stage)
     for j, below in enumerate(arguments):
         for i in below:
@@ -140,23 +146,41 @@ def _too_far(
     return gaps
 
 
-def _fewest_registers(
-    arguments: Sequence[Sequence[int]],
-    gaps: Sequence[Mapping[int, int]],
-    ends: set[int],
-    bits: Sequence[int],
-    latency: int,
-    window: Sequence[tuple[int, int]],
-    before: Sequence[int],
-    behind: Sequence[int],
-    shift_register: int,
-) -> list[int]:
-    """Return the stage of each operation, of ``latency`` stages and the outputs' registers after them.
+class _Problem(NamedTuple):
+    """Operations to be put into stages; all but the numbers of stages and registers are by operation."""
 
-    The stage is within the operation's ``window``. So many of the registers of arguments (``before``) and of
-    the result (``behind``) cost nothing. Up to where all but the last of its users look at it, a result is in
-    registers; from there on it may be in a shift register, of which a bit costs ``shift_register`` registers.
-    """
+    arguments: Sequence[Sequence[int]]
+    gaps: Sequence[Mapping[int, int]]
+    ends: Sequence[int]
+    """The outputs' operations."""
+    bits: Sequence[int]
+    latency: int
+    """How many stages there are; after them are the outputs' registers."""
+    window: Sequence[tuple[int, int]]
+    """The first and the last stage that an operation can be in."""
+    before: Sequence[int]
+    """Registers of the arguments that cost nothing."""
+    behind: Sequence[int]
+    """Registers of the result that cost nothing."""
+    shift_register: int
+    """How many registers a bit of a shift register costs. Up to where all but the last of its users look at
+    it, a result is in registers; from there on it may be in a shift register. 0 is none."""
+
+
+def _fewest_registers(problem: _Problem) -> list[int]:
+    """Return the stage of each operation; it is kept, since finding it can take seconds."""
+    text = repr((problem, inspect.getsource(sys.modules[__name__])))
+    path = cache_folder("schedules") / hashlib.sha256(text.encode()).hexdigest()[:16]
+    if (content := kept(path)) is not None:
+        stages: list[int] = json.loads(content)
+        return stages
+    found = _solved(problem)
+    keep(path, json.dumps(found).encode())
+    return found
+
+
+def _solved(problem: _Problem) -> list[int]:
+    arguments, gaps, ends, bits, latency, window, before, behind, shift_register = problem
     try:
         from scipy.optimize import Bounds, LinearConstraint, milp
         from scipy.sparse import coo_array

@@ -72,8 +72,8 @@ class Rtl(CommBram):
     def peek(self, signal: str) -> int:
         """Return the present value of a signal, by its name in the hierarchy under ``pearl_top``.
 
-        For example ``"irq_o"`` or ``"u_backbone.u_sequencer.busy_o"``. Verilator optimises signals away,
-        which raises DeviceError; with ``trace`` it keeps them all.
+        For example ``"irq_o"`` or ``"u_backbone.u_sequencer.busy_o"``. Verilator optimises signals away, and
+        those of an environment's core are left out, which raises DeviceError; with ``trace`` all are kept.
         """
         self.check_idle("peek")
         return self._simulation.peek(signal)

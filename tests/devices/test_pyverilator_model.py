@@ -27,13 +27,18 @@ def test_the_package_is_left_as_it_is() -> None:
 @pytest.mark.parametrize("traced", [True, False])
 def test_code_around_a_model(traced: bool) -> None:
     header = "VL_IN8(&clk_i,0,0);\nVL_INW(&wdata_i,127,0,4);\nVL_OUT64(&rdata_o,63,0);\n"
-    root = "        CData/*0:0*/ pearl_top__DOT__busy;\n        CData/*0:0*/ __VstlContinue;\n"
+    in_core = "pearl_top__DOT__u_pe__DOT__u_core__DOT__sum_1"
+    root = (
+        "        CData/*0:0*/ pearl_top__DOT__busy;\n        CData/*0:0*/ __VstlContinue;\n"
+        f"        IData/*16:0*/ {in_core};\n"
+    )
     text = pyverilator_model.wrapper_code(header, root, "// ours", traced)
     assert '"clk_i","wdata_i"' in text
     assert "{1,128}" in text
     assert "top->rootp->pearl_top__DOT__busy" in text
     assert "new Vpearl_top(context)" in text
     assert ("start_vcd_trace" in text) == traced
+    assert (in_core in text) == traced
     assert text.endswith("// ours")
 
 

@@ -181,6 +181,8 @@ LONG = (
     "pearl synth CliffWalking --n-envs 16 --pe-num 4 --data-wl 32 --option is_slippery=true "
     "--part ecp5 --json",
     "pearl bench training LevelBasedForaging --quick",  # the benchmark's own tests do so
+    "pearl report --only figure3 --only table2 --out out/report",  # its own tests do so, with --quick
+    "pearl verify CliffWalking --against CliffWalking-v1",  # its own tests do so, of fewer episodes
     "python -m pearl_marl.experiments.sb3_training CartPole --algo ppo --n-agents 256 --steps 20000 "
     "--every 8192 --out out/sb3",  # its own tests do so
     "python -m pearl_marl.experiments.sb3_training CartPole --algo ppo --n-agents 256 --steps 20000 "

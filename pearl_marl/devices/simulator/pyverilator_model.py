@@ -46,6 +46,8 @@ _PORT = re.compile(r"VL_(IN|OUT)\w*\(&?(\w+),(\d+),(\d+)(?:,\d+)?\);")
 _SIGNAL = re.compile(
     rf"^\s*(?:CData|SData|IData|QData|VlWide<\d+>)/\*(\d+):0\*/ ({TOP}__DOT__(?!\w*__V)\w+);", re.MULTILINE
 )
+# An environment's core has thousands of signals, and functions to read them take a fifth of a build.
+_IN_A_CORE = "__DOT__u_core__DOT__"
 
 
 @functools.cache
@@ -133,11 +135,15 @@ def generate(folder: Path, arguments: Sequence[str], code: str, traced: bool) ->
 
 
 def wrapper_code(header: str, root: str, code: str, traced: bool) -> str:
-    """Return the C++ around a model, by the headers of its class and its root class."""
+    """Return the C++ around a model, by the headers of its class and its root class.
+
+    Signals of cores can be read if the model is ``traced``.
+    """
     ports: dict[str, Signals] = {"IN": [], "OUT": []}
     for kind, name, high, low in _PORT.findall(header):
         ports[kind].append((name, int(high) - int(low) + 1))
-    signals = [(name, int(high) + 1) for high, name in _SIGNAL.findall(root)]
+    found = [(name, int(high) + 1) for high, name in _SIGNAL.findall(root)]
+    signals = [(name, bits) for name, bits in found if traced or _IN_A_CORE not in name]
     text: str = package().template_cpp.template_cpp(TOP, ports["IN"], ports["OUT"], signals, '"null"')
     # Verilator 5 keeps a model's internal signals in a class of their own.
     text = text.replace(f"top->{TOP}__DOT__", f"top->rootp->{TOP}__DOT__")
