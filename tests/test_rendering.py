@@ -37,9 +37,11 @@ def without(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(("name", "mode"), DRAWN)
 def test_pictures_without_their_library(name: str, mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    for library in ("pygame", "minatar", "matplotlib", "PIL"):
+    for library in ("pygame", "minatar", "minigrid", "matplotlib", "PIL"):
         without(library, monkeypatch)
-    holding = "pearl_marl.envs.minatar_oracle", "pettingzoo.classic."  # have imported them perhaps
+    # Which have imported them perhaps.
+    oracles = "minatar_oracle", "mini_grid_oracle"
+    holding = *(f"pearl_marl.envs.{name}" for name in oracles), "pettingzoo.classic."
     for module in [module for module in sys.modules if module.startswith(holding)]:
         monkeypatch.delitem(sys.modules, module)
     with closing(pearl_marl.parallel_env(name, n_agents=2, render_mode=mode)) as env:
@@ -88,7 +90,7 @@ def drawn_by(draw: Any) -> EnvSpec:
 
 @pytest.mark.parametrize("name", pearl_marl.list_envs())
 def test_pictures_are_bytes(name: str) -> None:
-    for library in ("pygame", "minatar", "seaborn", "PIL"):
+    for library in ("pygame", "minatar", "minigrid", "seaborn", "PIL"):
         pytest.importorskip(library)
     with closing(pearl_marl.parallel_env(name, render_mode="rgb_array")) as env:
         env.reset(seed=0)

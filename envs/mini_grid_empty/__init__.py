@@ -1,0 +1,1 @@
+"""MiniGridEmpty: walk to a goal through an empty room, as MiniGrid has it."""

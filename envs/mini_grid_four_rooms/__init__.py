@@ -1,0 +1,1 @@
+"""MiniGridFourRooms: find a goal in four rooms, as MiniGrid has it."""

@@ -1,0 +1,41 @@
+"""The spec of MiniGridLavaGap: MiniGrid's arguments."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from pearl_marl.checks import checked_integer
+from pearl_marl.envs.mini_grid import Rules
+from pearl_marl.envs.mini_grid_spec import checked_max_steps, rewards_until, spec_parts
+from pearl_marl.spec import EnvSpec
+
+from .step import THINGS, boxes, make_golden
+
+SIZES = (5, 32)
+
+
+def configure(size: int = 7, max_steps: int | None = None) -> EnvSpec:
+    """Return the spec under MiniGrid's keyword arguments.
+
+    Parameters
+    ----------
+    size
+        Columns and rows with the outer walls, 5 to 32.
+    max_steps
+        The time limit; None is ``4 * size**2``.
+    """
+    size = checked_integer("size", size, *SIZES)
+    rules = Rules(size, size, checked_max_steps(max_steps, 4 * size**2))
+    return EnvSpec(
+        **spec_parts(
+            "LavaGap", "LavaGapS7", THINGS, partial(boxes, rules), {"size": size, "max_steps": max_steps}
+        ),
+        summary="Pass through a gap in a strip of lava",
+        rewards=rewards_until(rules.max_steps),
+        golden=make_golden(rules),
+        max_cycles=rules.max_steps,
+        configure=configure,
+    )
+
+
+SPEC = configure()
