@@ -66,6 +66,7 @@ BUILDS = {
     "DeepSea": (8, 32),
     "Freeway": (1, 128),
     "Game2048": (1, 128),
+    "Inventory": (1, 128),
     "KuhnPoker": (4, 64),
     "LeducPoker": (2, 128),
     "LevelBasedForaging": (1, 128),
