@@ -17,7 +17,10 @@ from pearl_marl.rendering import HeatMap, Video, renderer
 from pearl_marl.spec import EnvSpec
 
 INSTALL = r"pip install '\.\[render\]'"
-BY_NUMPY = {"Catch", "DeepSea", "Game2048", "KuhnPoker", "LeducPoker", "MemoryChain"}
+BY_NUMPY = {
+    *("Catch", "DeepSea", "Game2048", "KuhnPoker", "LeducPoker", "MemoryChain"),
+    *("Inventory", "Minesweeper", "Snake"),
+}
 """Environments whose drawings need no library."""
 DRAWN = [
     (name, mode)

@@ -60,8 +60,22 @@ def compiled(text: str, name: str, passes: int = 3, effort: int = 3) -> str:
 
 
 def called(text: str) -> dict[str, bytes]:
-    """Return the object code of the symbols that LLVM's text of a module names."""
-    return {symbol: _objects[symbol] for symbol in sorted(set(re.findall(PREFIX + "[0-9a-f]{32}", text)))}
+    """Return the object code of all that LLVM's text of a module calls, each after what it calls itself."""
+    found: dict[str, bytes] = {}
+
+    def find(symbols: set[str]) -> None:
+        for symbol in sorted(symbols - found.keys()):
+            code = _objects[symbol]
+            # Object code has the names of the symbols that it defines and calls.
+            find(_symbols(code.decode("latin-1")) - {symbol})
+            found[symbol] = code
+
+    find(_symbols(text))
+    return found
+
+
+def _symbols(text: str) -> set[str]:
+    return set(re.findall(PREFIX + "[0-9a-f]{32}", text))
 
 
 def add(objects: dict[str, bytes]) -> None:

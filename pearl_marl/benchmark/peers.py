@@ -39,6 +39,7 @@ ENVPOOL_GAMES = {
     "LeducPoker": "LeducHoldem-v1",
     "LevelBasedForaging": "LevelBasedForaging-v0",
     "RobotWarehouse": "RobotWarehouse-v0",
+    "Snake": "Jumanji/Snake-v1",
     "TicTacToe": "TicTacToe-v1",
 }
 """What EnvPool calls those of its environments whose oracle has another id, or none, by our names."""

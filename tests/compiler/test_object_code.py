@@ -116,6 +116,15 @@ def test_symbols_are_found_in_what_calls_them() -> None:
     assert symbol.encode() in code
 
 
+def test_so_are_those_that_they_call() -> None:
+    """Each after what it calls: it is added when that is there."""
+    inner = object_code.compiled('define i8 @"inner"() {\n  ret i8 1\n}\n', "inner")
+    calls = f'  %"a" = call i8 @{inner}()\n  ret i8 %"a"\n'
+    outer = object_code.compiled(f'declare i8 @{inner}()\ndefine i8 @"outer"() {{\n{calls}}}\n', "outer")
+    assert list(object_code.called(f"declare i8 @{outer}()")) == [inner, outer]
+    assert list(object_code.called(f"declare i8 @{inner}()\ndeclare i8 @{outer}()")) == [inner, outer]
+
+
 @pytest.mark.parametrize("passes", [True, False])
 @pytest.mark.parametrize("effort", [0, 3])
 def test_code_does_the_same_however_it_is_compiled(passes: bool, effort: int) -> None:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
-from itertools import islice
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,52 +10,30 @@ import pytest
 import pearl_marl
 from pearl_marl.envs.game2048.step import slid
 from pearl_marl.errors import ArgumentError
-from pearl_marl.golden import reference
 
-Array = np.ndarray[Any, Any]
-RECORDED = np.load(Path(__file__).with_name("jumanji.npz"))
+from .episodes import Array, below, replay
+
 SPEC = pearl_marl.get_spec("Game2048")
 
 
-def draws_of(tiles: Array) -> list[Array]:
+def draws(drawn: Array) -> Array:
     """Return draws that put a tile into this free cell of so many, and make it a 2 or a 4."""
-    which, count, tile = tiles.astype(np.int64).T
-    return [-(-(which << 32) // np.maximum(count, 1)), np.where(tile == 2, 0, 2**32 - 1)]
+    which, count, tile = drawn.T
+    return np.stack([below(which, count), np.where(tile == 2, 0, 2**32 - 1)], 1)
 
 
-@pytest.mark.parametrize("size", [4, 3, 2])
+def begin(ours: Any, start: Array) -> None:
+    ours.start(draws(start))
+
+
+@pytest.mark.parametrize(("case", "most"), [("Game2048", 7), ("Game2048, 3", 5), ("Game2048, 2", 3)])
 @pytest.mark.parametrize("episodes", [24, pytest.param(None, marks=pytest.mark.exhaustive)])
-def test_episodes(size: int, episodes: int | None) -> None:
+def test_episodes(case: str, most: int, episodes: int | None) -> None:
     """Every board, reward, mask and end is the package's, on boards of every size."""
-    spec, cells = SPEC.with_options(board_size=size), size * size
-    keys = "actions", "tiles", "checks", "running"
-    actions, tiles, checks, running = (RECORDED[f"{size}/{key}"][:, :episodes] for key in keys)
-    step, masks = reference(spec.positional.step), reference(spec.positional.masks)
-
-    def checked(board: Array, reward: Array, over: Array) -> Array:
-        """Return the recorder's checksums of these results."""
-        said = np.stack(np.broadcast_arrays(*masks(*board.T), board[:, 0])[:-1], 1)
-        parts = np.uint8(board), np.float32(reward), np.uint8(said), np.uint8(over)
-        rows = zip(*parts, strict=True)
-        return np.array([zlib.crc32(b"".join(part.tobytes() for part in row)) & 255 for row in rows])
-
-    n = actions.shape[1]
-    start = reference(spec.positional.initial)(*draws_of(tiles[0]))
-    board = np.stack(np.broadcast_arrays(*start, np.zeros(n, np.int64))[:-1], 1)
-    np.testing.assert_array_equal(checked(board, np.zeros(n), np.zeros(n)), checks[0])
-    count, most, idle = 0, 0, 0
-    steps = int(running.any(1).sum())
-    rows = zip(actions, tiles[1:], checks[1:], running == 1, strict=True)
-    for action, tile, check, on in islice(rows, steps):
-        *after, reward, over = step(*board[on].T, action[on], *draws_of(tile[on]))
-        idle += int((np.stack(after, 1) == board[on]).all(1).sum())
-        board[on] = np.stack(after, 1)
-        np.testing.assert_array_equal(checked(board[on], reward, over), check[on])
-        count, most = count + int(on.sum()), max(most, int(board.max()))
-    print(f"{count:,} steps, {idle:,} of which changed nothing; the greatest tile is {2**most}")
-    assert idle > n / 4
-    assert most >= {4: 7, 3: 5, 2: 3}[size]
-    assert cells == board.shape[1]
+    replayed = replay(case, begin, draws, np.uint8, episodes)
+    print(f"{replayed.steps:,} steps; {replayed.idle:,} changed nothing; up to 2^{replayed.last.max()}")
+    assert replayed.idle > len(replayed.last) / 4
+    assert replayed.last.max() >= most
 
 
 def test_every_line() -> None:

@@ -1,0 +1,1 @@
+"""Inventory: order goods along a chain of suppliers, neither too few nor too many."""

@@ -1,0 +1,93 @@
+"""The golden step of Inventory: a chain of stages, of which each orders from the next one.
+
+Customers buy from stage 0, which orders from stage 1, which orders from stage 2, which orders from a plant
+that has all it needs. What is ordered arrives some periods later; what a supplier does not have is lost.
+
+Follows https://github.com/JGIoA/or-gymnasium (``or-gymnasium`` 0.1.0, ``InvManagement-v1``), after C. Hubbs
+et al., *OR-Gym: A Reinforcement Learning Library for Operations Research Problems*, 2020.
+"""
+
+import math
+from typing import NamedTuple
+
+from pearl_marl.golden import Draws, Word
+from pearl_marl.layout import Array, Range
+
+PERIODS, MEAN_DEMAND, MOST_STORED = 30, 20, 3000
+"""A stage never gets as many units as it could store."""
+CAPACITY, LEAD, START = (100, 90, 80), (3, 5, 10), (100, 100, 200)
+"""Of each stage the most that it can order, after how many periods that arrives, and what it has at first."""
+
+# Money is counted in fortieths: then all of it comes in integers.
+PRICE, PENALTY = (80, 60, 40, 30), (4, 3, 2, 1)
+"""What the stages and the plant get for a unit, and lose by one that they do not have."""
+COST, PLANT_COST, HOLDING = (60, 40, 30), 20, (6, 4, 2)
+"""What a unit costs the stages, what it costs the plant, and what the stages pay for one that they keep."""
+FRACTION = 12
+"""Bits of the reward behind the binary point."""
+WORTH = tuple(round(0.97**period / 40 * 2 ** (FRACTION + 12)) for period in range(PERIODS))
+"""What a fortieth is worth in each period, with twelve bits more."""
+
+
+class State(NamedTuple):
+    """What each stage has, what is on its way to it, all orders of the last ten periods, and the period."""
+
+    stored: Array[Range[0, MOST_STORED], 3]
+    coming_0: Array[Range[0, CAPACITY[0]], LEAD[0]]
+    coming_1: Array[Range[0, CAPACITY[1]], LEAD[1]]
+    coming_2: Array[Range[0, CAPACITY[2]], LEAD[2]]
+    orders: Array[Range[0, CAPACITY[0]], max(LEAD), 3]
+    period: Range[0, PERIODS - 1]
+
+
+class View(NamedTuple):
+    """What each stage has, and the orders."""
+
+    stored: Array[Range[0, MOST_STORED], 3]
+    orders: Array[Range[0, CAPACITY[0]], max(LEAD), 3]
+
+
+def thresholds(mean: float) -> list[int]:
+    """Return below which 32-bit draw a Poisson number is at most 0, 1, 2 and so on."""
+    found, chance, total = [], math.exp(-mean), 0.0
+    while (threshold := round((total := total + chance) * 2**32)) < 2**32:
+        found.append(threshold)
+        chance *= mean / len(found)
+    return found
+
+
+DEMANDS = thresholds(MEAN_DEMAND)
+
+
+def initial(draws: Draws) -> State:
+    """Return what the first period begins with: nothing has been ordered."""
+    return State(list(START), [0] * LEAD[0], [0] * LEAD[1], [0] * LEAD[2], [[0] * 3] * max(LEAD), 0)
+
+
+def step(state: State, action: list[Word], draws: Draws) -> tuple[State, Word, Word]:
+    """Let each stage order, receive what comes and serve whom it can; the reward is everyone's profit."""
+    draw = draws.bits()
+    demand = sum(draw >= threshold for threshold in DEMANDS)
+    stored, coming = state.stored, [state.coming_0, state.coming_1, state.coming_2]
+    orders = [min(units, most) for units, most in zip(action, CAPACITY, strict=True)]
+    # A supplier ships what it has before anything arrives.
+    shipped = [min(orders[0], stored[1]), min(orders[1], stored[2]), orders[2]]
+    stored = [min(units + first, MOST_STORED) for units, (first, *_) in zip(stored, coming, strict=True)]
+    sold = [min(demand, stored[0]), *shipped]
+    stored = [max(units - taken, 0) for units, taken in zip(stored, sold[:3], strict=True)]
+    missed = [asked - taken for asked, taken in zip([demand, *orders], sold, strict=True)]
+    costs = total(COST, shipped) + PLANT_COST * shipped[2] + total(PENALTY, missed) + total(HOLDING, stored)
+    profit = (total(PRICE, sold) - costs) * WORTH[state.period] >> 12
+    first, second, third = ([*later, units] for (_, *later), units in zip(coming, shipped, strict=True))
+    period = min(state.period + 1, PERIODS - 1)
+    return State(stored, first, second, third, [*state.orders[1:], orders], period), profit, False
+
+
+def total(prices: tuple[int, ...], units: list[Word]) -> Word:
+    """Return what so many units of each kind come to."""
+    return sum(price * count for price, count in zip(prices, units, strict=True))
+
+
+def observe(state: State) -> View:
+    """Return the observation, with the oldest orders first."""
+    return View(state.stored, state.orders)

@@ -1,0 +1,1 @@
+"""Minesweeper: find every cell of a board that hides no mine."""

@@ -1,0 +1,1 @@
+"""Snake: eat fruit, grow longer with each, and run into nothing."""
