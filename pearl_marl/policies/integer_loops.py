@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.policies import integer_vectors
-from pearl_marl.policies.device_policy import Array
 from pearl_marl.policies.integer_network import (
     ENTRIES,
     Dense,
