@@ -14,11 +14,9 @@ from typing import Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.envs.connect_four.step import COLUMNS, ROWS
-
-Array = npt.NDArray[Any]
 
 # None of the functions is kept on the disk: Numba 0.68 loads one that calls itself, and crashes in it.
 

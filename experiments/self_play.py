@@ -6,14 +6,14 @@ Reads the folder of ``pearl train ConnectFour --algo self-play``.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 import typer
 from rich.console import Console
 from rich.table import Table
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.envs import get_spec
@@ -23,8 +23,6 @@ from pearl_marl.experiments.calling import call
 from pearl_marl.experiments.perfect_play import ILLEGAL, Judge
 from pearl_marl.policies import trained
 from pearl_marl.policies.loading import RANDOM, Policy, random_policy
-
-Array = npt.NDArray[Any]
 
 FIRST, LAST = 14, 24
 """Discs on the boards that are judged: with fewer, a perfect player takes too long."""

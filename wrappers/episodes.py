@@ -8,7 +8,8 @@ import numpy as np
 from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.base.arrays import Array
+from pearl_marl.batch.step import BatchStep
 from pearl_marl.checks import NumberRange
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import uniform_below

@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete, Space
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.results import Recycler, memory_of_machine
-from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.batch.step import BatchStep
 from pearl_marl.checks import checked_choice, checked_function, checked_integer, is_number
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch

@@ -9,13 +9,13 @@ from functools import partial
 from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium.spaces import Discrete, MultiBinary, MultiDiscrete, Space, Tuple
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.base.deferral import uninterrupted
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import BatchStep
@@ -28,8 +28,6 @@ from pearl_marl.interfaces.parallel import PearlParallelEnv
 from pearl_marl.interfaces.vector import PearlVectorEnv
 
 from .base import differing
-
-Array = npt.NDArray[Any]
 
 RENDERED_SLOTS = 16
 """The most slots that ``render`` draws: Gymnasium's renderers take milliseconds for each."""

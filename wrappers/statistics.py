@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Space
 
-from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.base.arrays import Array
+from pearl_marl.batch.step import BatchStep
 from pearl_marl.checks import checked_number
 from pearl_marl.errors import ArgumentError
 from pearl_marl.interfaces.batch import Batch

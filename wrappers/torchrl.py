@@ -13,8 +13,8 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, MultiCategorical, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.actions import random_allowed
-from pearl_marl.batch.step import Array
 from pearl_marl.checks import checked_flag
 from pearl_marl.devices.by_name import make_host_device
 from pearl_marl.errors import ArgumentError

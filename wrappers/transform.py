@@ -11,9 +11,10 @@ import numpy.typing as npt
 from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.actions import ActionRules
 from pearl_marl.batch.results import Recycler
-from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.batch.step import BatchStep
 from pearl_marl.errors import OrderError, renamed
 from pearl_marl.golden import rng
 from pearl_marl.interfaces.batch import Batch

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl.base.arrays import unpacked_arrays
+from pearl_marl.base.arrays import Array, unpacked_arrays
 from pearl_marl.base.deferral import uninterrupted
-from pearl_marl.batch.step import Array, BatchStep
+from pearl_marl.batch.step import BatchStep
 from pearl_marl.errors import OrderError, SavedStateError
 from pearl_marl.interfaces.batch import Batch, DeviceBatch
 from pearl_marl.interfaces.world import Mask

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.base.deferral import uninterrupted
-from pearl_marl.batch.step import Array
 from pearl_marl.interfaces.parallel import PearlParallelEnv
 from pearl_marl.interfaces.world import Mask
 

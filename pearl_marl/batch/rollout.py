@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[Any]
+from pearl_marl.base.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

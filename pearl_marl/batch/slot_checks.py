@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.errors import SavedStateError
@@ -19,8 +18,6 @@ from pearl_marl.golden.tracing.operations import word_range
 from pearl_marl.golden.tracing.trace import trace
 from pearl_marl.spec import MAX_CYCLES, EnvSpec
 from pearl_marl.spec.elements import are_numbers, bounds
-
-Array = npt.NDArray[Any]
 
 _AT_ONCE = 1 << 16
 """Slots whose observations are made at once: as exact integers they take several times the memory."""

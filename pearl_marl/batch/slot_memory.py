@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.spec import MAX_CYCLES, EnvSpec, Field
 
-Array = npt.NDArray[Any]
 Bytes = npt.NDArray[np.uint8]
 
 ALIGNMENT = 64

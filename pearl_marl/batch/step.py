@@ -8,9 +8,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.errors import renamed
-
-Array = npt.NDArray[Any]
 
 
 class Observed(NamedTuple):

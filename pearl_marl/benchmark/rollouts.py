@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.config import BatchConfig, worlds_of
-from pearl_marl.batch.step import Array
 from pearl_marl.benchmark.measure import Contender, Step, UnavailableError
 from pearl_marl.benchmark.peers import envpool_of, gymnax_of, installed, quiet_spaces
 from pearl_marl.devices import Native

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.actions import encode, random_actions, room_for_words
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.rewards import padded
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import Array, on_host
+from pearl_marl.batch.step import on_host
 from pearl_marl.benchmark.measure import Contender, Game, Step, UnavailableError
 from pearl_marl.benchmark.peers import peers
 from pearl_marl.compiler import cuda_kernels

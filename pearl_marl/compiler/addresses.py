@@ -12,14 +12,12 @@ from typing import Annotated, Any, get_origin, get_type_hints
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from numba import types
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.compiler.loading import compiled_loop
-
-Array = npt.NDArray[Any]
 
 _intrinsic: Any = intrinsic
 

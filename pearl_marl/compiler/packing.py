@@ -12,17 +12,14 @@ from functools import cache, partial, update_wrapper
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from gymnasium.spaces import Box
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.checks import checked_choice
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.spec import EnvSpec, Field, check_spec
-
-Array = npt.NDArray[Any]
-
 
 FORMS = ("whole", "packed")
 """How observations are delivered."""

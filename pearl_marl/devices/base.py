@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.base.deferral import uninterrupted
 from pearl_marl.batch import rewards as reward_tables
 from pearl_marl.batch.actions import ActionRules, encode, refuse_masked, room_for_words
@@ -35,7 +36,7 @@ from pearl_marl.batch.results import Recycler, ResultLayout
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import Array, BatchStep, Observed, on_host
+from pearl_marl.batch.step import BatchStep, Observed, on_host
 from pearl_marl.devices import rollouts
 from pearl_marl.devices.recovery import CheckpointLog
 from pearl_marl.devices.threads import Threads

@@ -20,11 +20,12 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import Array, BatchStep, Observed
+from pearl_marl.batch.step import BatchStep, Observed
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device
 from pearl_marl.devices.link_rollout import LinkRollout

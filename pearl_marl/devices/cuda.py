@@ -20,12 +20,13 @@ import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.actions import limits
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays, ResultLayout
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.slot_memory import SlotMemory, size
-from pearl_marl.batch.step import Array, BatchStep, Observed, on_host
+from pearl_marl.batch.step import BatchStep, Observed, on_host
 from pearl_marl.checks import checked_choice
 from pearl_marl.compiler.cuda_kernels import THREADS, compile_cuda_kernels, compile_cuda_rollout, simulated
 from pearl_marl.devices.base import Device

@@ -8,15 +8,13 @@ from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-import numpy.typing as npt
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import BatchStep, Observed
 from pearl_marl.spec import EnvSpec
-
-Array = npt.NDArray[Any]
 
 
 class Words(NamedTuple):

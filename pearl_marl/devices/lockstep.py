@@ -7,10 +7,11 @@ from typing import Any, NoReturn, TypeVar
 
 import numpy.typing as npt
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.batch.step import Array, BatchStep, Observed
+from pearl_marl.batch.step import BatchStep, Observed
 from pearl_marl.checks import checked_count_or_none
 from pearl_marl.devices.base import Device, Phase
 from pearl_marl.devices.by_name import make_host_device

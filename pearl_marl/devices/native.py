@@ -12,13 +12,14 @@ import numpy.typing as npt
 from gymnasium.spaces import Discrete
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.base.deferral import completed, uninterrupted
 from pearl_marl.batch.actions import are_words, room_for_words
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.slot_memory import SlotMemory, aligned_bytes, counter_dtype
-from pearl_marl.batch.step import Array, BatchStep, Observed
+from pearl_marl.batch.step import BatchStep, Observed
 from pearl_marl.checks import checked_count_or_none
 from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import compile_kernels

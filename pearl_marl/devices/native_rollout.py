@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.config import BatchConfig
-from pearl_marl.batch.step import Array, Observed
+from pearl_marl.batch.step import Observed
 from pearl_marl.compiler import addresses
 from pearl_marl.compiler.addresses import address_of, call_act, call_step
 from pearl_marl.compiler.kernel_loops import BLOCK, STEP_ARGUMENTS

@@ -27,10 +27,11 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.rewards import categories
 from pearl_marl.batch.saved_state import SavedState
-from pearl_marl.batch.step import Array, BatchStep, Observed
+from pearl_marl.batch.step import BatchStep, Observed
 from pearl_marl.compiler.kernel_source import kernel_source
 from pearl_marl.compiler.kernels import kernel_name
 from pearl_marl.devices import cluster

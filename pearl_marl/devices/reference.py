@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import ResultArrays
 from pearl_marl.batch.slot_memory import SlotMemory
-from pearl_marl.batch.step import Array, BatchStep, Observed
+from pearl_marl.batch.step import BatchStep, Observed
 from pearl_marl.devices.base import Device
 from pearl_marl.errors import DeviceError
 from pearl_marl.golden import GoldenFunction, reference, rng

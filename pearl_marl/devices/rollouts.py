@@ -12,11 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.actions import room_for_words
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.rollout import Rollout
-from pearl_marl.batch.step import Array, BatchStep, Observed
+from pearl_marl.batch.step import BatchStep, Observed
 from pearl_marl.checks import checked_count_or_none, checked_flag, checked_integer
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.errors import ArgumentError

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.batch.step import BatchStep
 from pearl_marl.checks import checked_integer
@@ -18,8 +19,6 @@ from pearl_marl.golden.rng import checked_seed
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.loading import Policy
 from pearl_marl.spec import EnvSpec
-
-Array = npt.NDArray[Any]
 
 OPENINGS = 4
 """Random steps with which games of turns begin, unless said otherwise."""

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from pearl_marl.evaluation.run import CONFIDENCE, Array, Evaluation, interval
+from pearl_marl.base.arrays import Array
+from pearl_marl.evaluation.run import CONFIDENCE, Evaluation, interval
 from pearl_marl.policies.integer_network import IntegerNetwork
 
 SAMPLES = 4096

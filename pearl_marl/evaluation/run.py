@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory, memory_of_machine
 from pearl_marl.batch.step import BatchStep, on_host
@@ -46,8 +47,6 @@ BINS = 60
 
 EPISODE_BYTES = 16
 """What an episode takes: its return and its length."""
-
-Array = npt.NDArray[Any]
 
 
 class Evaluation:

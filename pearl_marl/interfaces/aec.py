@@ -15,8 +15,9 @@ from gymnasium.spaces import Box, Space
 from pettingzoo import AECEnv
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.base.deferral import uninterrupted
-from pearl_marl.batch.step import Array, on_host
+from pearl_marl.batch.step import on_host
 from pearl_marl.errors import ActionError, ArgumentError, OrderError
 from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
 

@@ -12,9 +12,10 @@ import numpy.typing as npt
 import pettingzoo
 from gymnasium.spaces import Box, Dict, Space
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory
-from pearl_marl.batch.step import Array, on_host
+from pearl_marl.batch.step import on_host
 from pearl_marl.checks import checked_flag
 from pearl_marl.compiler.packing import observed_as
 from pearl_marl.devices import BatchConfig, BatchStep, Device, make_device

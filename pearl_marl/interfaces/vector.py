@@ -12,9 +12,10 @@ from gymnasium.spaces import Space, Tuple
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.base.deferral import uninterrupted
 from pearl_marl.batch.config import checked_mask
-from pearl_marl.batch.step import Array, BatchStep, on_host
+from pearl_marl.batch.step import BatchStep, on_host
 from pearl_marl.compiler.packing import observed_as
 from pearl_marl.devices import BatchConfig, Device, make_device
 from pearl_marl.envs import get_spec

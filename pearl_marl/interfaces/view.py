@@ -8,8 +8,8 @@ from typing import Any, Self
 
 import numpy as np
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.rollout import Rollout
-from pearl_marl.batch.step import Array
 from pearl_marl.devices import Device
 from pearl_marl.errors import OrderError
 from pearl_marl.interfaces.batch import Batch, DeviceBatch

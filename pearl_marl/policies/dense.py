@@ -12,14 +12,12 @@ from importlib import import_module
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.compiler.loading import compiled_loop
-
-Array = npt.NDArray[Any]
 
 ROWS = 64
 """Rows that go through all layers at once."""

@@ -12,6 +12,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numba import types
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.compiler import addresses
 from pearl_marl.compiler.addresses import address_of, fields_at, in_memory
 from pearl_marl.compiler.loading import compiled_loop
@@ -20,7 +21,6 @@ from pearl_marl.policies.dense import ROWS, Layers, NetworkInputs, Vector, forwa
 from pearl_marl.policies.device_policy import (
     ACT_ARGUMENTS,
     ActionChoice,
-    Array,
     CompiledPolicy,
     DevicePolicy,
 )

@@ -13,12 +13,10 @@ from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.golden import rng
 from pearl_marl.spec import EnvSpec
-
-Array = npt.NDArray[Any]
 
 FIRST_DRAW = 1 << 31
 """The index of a policy's first draw. Those of an environment's golden functions come long before it."""

@@ -13,6 +13,7 @@ from typing import Any
 import numba
 import numpy as np
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.base.machine_code import kept_code
 from pearl_marl.compiler import scalar_words
 from pearl_marl.compiler.addresses import address_of
@@ -23,7 +24,6 @@ from pearl_marl.golden.tracing.checks import Argument, Result, check
 from pearl_marl.policies.device_policy import (
     ACT_ARGUMENTS,
     ActionChoice,
-    Array,
     CompiledPolicy,
     DevicePolicy,
 )

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.envs import registered_spec
 from pearl_marl.errors import ArgumentError, brief, one_line
-from pearl_marl.policies.device_policy import Array
 from pearl_marl.policies.integer_network import (
     Dense,
     Head,

@@ -11,11 +11,12 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numba import njit, types
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.compiler import addresses
 from pearl_marl.compiler.addresses import address_of, fields_at, in_memory
 from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.policies import integer_vectors
-from pearl_marl.policies.device_policy import ACT_ARGUMENTS, Array, CompiledPolicy
+from pearl_marl.policies.device_policy import ACT_ARGUMENTS, CompiledPolicy
 from pearl_marl.policies.integer_network import (
     ENTRIES,
     Dense,

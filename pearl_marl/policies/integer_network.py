@@ -15,8 +15,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.device_policy import ActionChoice, Array, DevicePolicy
+from pearl_marl.policies.device_policy import ActionChoice, DevicePolicy
 from pearl_marl.spec import EnvSpec
 from pearl_marl.spec.elements import bounds
 

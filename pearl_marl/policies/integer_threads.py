@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.golden.rng import CHAIN_A, CHAIN_B, draw, key
-from pearl_marl.policies.device_policy import FIRST_DRAW, Array
+from pearl_marl.policies.device_policy import FIRST_DRAW
 from pearl_marl.policies.integer_network import (
     ENTRIES,
     Head,

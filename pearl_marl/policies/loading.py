@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Discrete, MultiBinary, MultiDiscrete, Tuple
 
-from pearl_marl.base.arrays import load_array
+from pearl_marl.base.arrays import Array, load_array
 from pearl_marl.base.files import check_uncompressed
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.errors import ArgumentError, one_line
@@ -28,7 +28,6 @@ from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.spec import EnvSpec, check_spec
 from pearl_marl.spec.elements import are_numbers, bounds
 
-Array = npt.NDArray[Any]
 Policy = Callable[..., Any]
 """Observations, shape ``(n, *observation_shape)``, in; actions, shape ``(n, *action_space.shape)``, out.
 

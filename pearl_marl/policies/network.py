@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from gymnasium.spaces import Box, Space
 from torch import Tensor, nn
@@ -19,8 +18,6 @@ from pearl_marl.policies import dense
 from pearl_marl.policies.memory import Memory, Recall
 from pearl_marl.spec import EnvSpec
 from pearl_marl.spec.elements import are_numbers, bounds
-
-Array = npt.NDArray[Any]
 
 _EMPTY = torch.empty(0, 1)
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import torch
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.checks import checked_integer
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies import dense
-from pearl_marl.policies.device_policy import Array
 from pearl_marl.policies.integer_network import (
     ENTRIES,
     Dense,

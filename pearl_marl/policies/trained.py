@@ -15,6 +15,7 @@ import torch
 from gymnasium.spaces import Box, Discrete
 from torch import Tensor, nn
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.checks import is_number
 from pearl_marl.envs import registered_spec
 from pearl_marl.errors import ArgumentError, brief, one_line
@@ -22,7 +23,7 @@ from pearl_marl.policies import policy_file
 from pearl_marl.policies.dense_policy import DenseNetwork
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.memory import MEMORY, Recall, acting
-from pearl_marl.policies.network import SHARING, Array, Network, is_dense, masked, most, networks
+from pearl_marl.policies.network import SHARING, Network, is_dense, masked, most, networks
 from pearl_marl.spec import EnvSpec
 from pearl_marl.spec.elements import are_numbers, bounds
 

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.errors import ArgumentError
 from pearl_marl.porting import oracle
 from pearl_marl.porting.contents import elements, leaves_of
-from pearl_marl.porting.oracle import Array, DifferenceError, Games, Ours, Outcome, Rules, one_by_one
+from pearl_marl.porting.oracle import DifferenceError, Games, Ours, Outcome, Rules, one_by_one
 from pearl_marl.porting.originals import Original
 from pearl_marl.porting.port import first_unlike, like
 from pearl_marl.spec import EnvSpec

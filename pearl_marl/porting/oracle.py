@@ -12,14 +12,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.actions import encode, random_actions, room_for_words
 from pearl_marl.devices.reference import observations_of
 from pearl_marl.golden import reference
 from pearl_marl.spec import EnvSpec
-
-Array = npt.NDArray[Any]
 
 
 class Outcome(NamedTuple):

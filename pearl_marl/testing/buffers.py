@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pearl_marl.testing.case import Array, Case, assert_same_dicts
+from pearl_marl.base.arrays import Array
+from pearl_marl.testing.case import Case, assert_same_dicts
 
 
 def listed(value: Any) -> Any:

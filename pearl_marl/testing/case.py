@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from gymnasium.spaces import Box, Dict, Discrete, Space
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import devices
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.devices import BatchConfig, BatchStep, Device, Lockstep, Rtl
 from pearl_marl.envs import get_spec
@@ -22,7 +22,6 @@ from pearl_marl.interfaces.vector import PearlVectorEnv, make_vec
 from pearl_marl.spec import EnvSpec
 from pearl_marl.spec.elements import action_counts, bounds
 
-Array = npt.NDArray[Any]
 T = TypeVar("T", Device, PearlParallelEnv, PearlVectorEnv)
 
 SIZE, STEPS = 70, 40

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.devices import BatchStep, Device, Native
-from pearl_marl.testing.case import SIZE, Array, Case, assert_same_trajectory, rows, trajectory
+from pearl_marl.testing.case import SIZE, Case, assert_same_trajectory, rows, trajectory
 
 
 def run(device: Device, actions: Array, seed: int = 8) -> tuple[Array, list[BatchStep]]:

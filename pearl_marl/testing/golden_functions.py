@@ -8,11 +8,11 @@ import gymnasium
 import pytest
 from gymnasium.vector import AutoresetMode
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.actions import encode, room_for_words
 from pearl_marl.devices import BatchConfig, Reference
 from pearl_marl.spec import EnvSpec
 from pearl_marl.spec.elements import bounds
-from pearl_marl.testing.case import Array
 from pearl_marl.verification import sticky_actions
 
 NEXT = AutoresetMode.NEXT_STEP

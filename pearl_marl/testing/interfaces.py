@@ -13,12 +13,13 @@ from gymnasium.spaces import Tuple
 from gymnasium.vector import AutoresetMode
 from pettingzoo.test import api_test, parallel_api_test
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.devices import BatchConfig, Reference
 from pearl_marl.errors import ArgumentError, OrderError
 from pearl_marl.interfaces.aec import env as aec_env
 from pearl_marl.interfaces.aec import raw_env
 from pearl_marl.interfaces.vector import PearlVectorEnv
-from pearl_marl.testing.case import SIZE, Array, Case, names_of, sampled
+from pearl_marl.testing.case import SIZE, Case, names_of, sampled
 
 
 def packed(obs: Any) -> Array:

@@ -10,8 +10,8 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.devices import BatchConfig, BatchStep, Native
 from pearl_marl.golden import rng
@@ -19,7 +19,6 @@ from pearl_marl.interfaces.parallel import parallel_env
 from pearl_marl.porting.oracle import Actions, Move, Oracle, Ours, any_actions, compare
 from pearl_marl.spec import EnvSpec
 
-Array = npt.NDArray[Any]
 Policy = Callable[[Array, np.random.Generator], Array]
 """Chooses an action for each row of observations."""
 

@@ -11,14 +11,12 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.training.restoring import copied, whole
-
-Array = npt.NDArray[Any]
 
 BETA_1, BETA_2 = 0.9, 0.999
 """Shares of the means of gradients, and of their squares, that remain at each step."""

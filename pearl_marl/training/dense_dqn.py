@@ -6,11 +6,11 @@ They are those that autograd finds for ``DQN.gradients``. The networks are those
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.policies import dense
 from pearl_marl.policies.dense import (
@@ -25,8 +25,6 @@ from pearl_marl.policies.dense import (
     tile_of,
 )
 from pearl_marl.policies.network import MASKED
-
-Array = npt.NDArray[Any]
 
 _MASKED = np.float32(MASKED)
 

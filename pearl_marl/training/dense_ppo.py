@@ -13,11 +13,11 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from numba.extending import overload
 from torch import Tensor
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.policies import dense
 from pearl_marl.policies.dense import (
@@ -38,8 +38,6 @@ from pearl_marl.policies.network import MASKED, is_dense
 from pearl_marl.training.actor_critic import ActorCritic
 from pearl_marl.training.halves import Halves
 from pearl_marl.training.rollout import RolloutBuffer
-
-Array = npt.NDArray[Any]
 
 _MASKED, _ONE, _NONE = np.float32(MASKED), np.float32(1), np.float32(0)
 _HALF_LOG_TURN = 0.5 * math.log(2 * math.pi)

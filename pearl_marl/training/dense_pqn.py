@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from torch import Tensor
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.policies import dense
 from pearl_marl.policies.dense import (
@@ -28,8 +28,6 @@ from pearl_marl.policies.dense import (
 from pearl_marl.training.action_values import ActionValues
 from pearl_marl.training.halves import Halves
 from pearl_marl.training.rollout import RolloutBuffer
-
-Array = npt.NDArray[Any]
 
 
 def _gradients(

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-Array = npt.NDArray[Any]
+from pearl_marl.base.arrays import Array
 
 SECOND_THREAD = 1 << 16
 """Rows times width of a minibatch from which on a second thread does half of it."""

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.batch.config import BatchConfig, worlds_of
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.devices import cluster
 from pearl_marl.devices.ray import Packed, pack, unpacked
 from pearl_marl.errors import ArgumentError, DeviceError
-from pearl_marl.policies.network import Array
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.recurrent import RecurrentWorker
 from pearl_marl.training.rollout import RolloutBuffer, RolloutWorker, block_edges
