@@ -235,8 +235,9 @@ async def many_masters_with_many_ids_see_a_memory(dut: Any, given: Any, idle: fl
         low, high = low + master % 2, high - 1
         for _ in range(8):
             begin = source.randrange(low, high)
-            length = source.randint(1, min(high - begin, 5 * width))
             beat = source.randint(0, width.bit_length() - 1)
+            # Many beats of single bytes would be most of the time where words are wide.
+            length = source.randint(1, min(high - begin, 5 * width, 40 << beat))
             name = source.randrange(16)
             if source.random() < 0.5:
                 data = source.randbytes(length)
