@@ -122,6 +122,16 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("ppo", "SpaceInvaders"): MINATAR,
     # To come up for air is of no use until the air is gone: much entropy, and a long view.
     ("ppo", "Seaquest"): MINATAR | {"iterations": 250, "discount": 0.995, "entropy": 0.03},
+    # For a size of 5.
+    ("ppo", "MiniGridDoorKey"): {
+        "n_agents": 512,
+        "rollout_length": 32,
+        "iterations": 120,
+        "minibatch": 2048,
+        "learning_rate": 1e-3,
+        "discount": 0.99,
+        "entropy": 0.01,
+    },
     # One game is like another unless some moves are random.
     ("self-play", "ConnectFour"): {
         "n_agents": 512,
