@@ -80,6 +80,7 @@ BUILDS = {
     "Minesweeper": (1, 128),
     "MountainCar": (1, 64),
     "MountainCarContinuous": (1, 64),
+    "Othello": (2, 128),
     "Overcooked": (2, 128),
     "Pendulum": (1, 128),
     "RobotWarehouse": (1, 256),

@@ -50,6 +50,7 @@ PGX_GAMES = {
     "Freeway": "minatar-freeway",
     "KuhnPoker": "kuhn_poker",
     "LeducPoker": "leduc_holdem",
+    "Othello": "othello",
     "Seaquest": "minatar-seaquest",
     "SpaceInvaders": "minatar-space_invaders",
 }
@@ -460,6 +461,7 @@ PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]
     "LevelBasedForaging": [("lbforaging", "observations, rewards, ends; Python, one thread", _foraging)],
     "MemoryChain": [_OF_GYMNAX, _OF_BSUITE],
     "MountainCarContinuous": [_OF_GYMNAX],
+    "Othello": [_OF_PGX],
     "Overcooked": [("overcooked-ai", "observations, rewards, ends; Python, one thread", _overcooked)],
     "Seaquest": [_OF_GYMNAX_DEFAULT, _OF_PGX],
     "SpaceInvaders": [_OF_GYMNAX_DEFAULT, _OF_PGX],
