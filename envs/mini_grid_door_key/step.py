@@ -82,7 +82,7 @@ def make_golden(rules: Rules) -> Golden:
         return State(agent, 0, wall, door_row, LOCKED - OPEN, Key(1 + other // rows, 1 + other % rows, 0))
 
     def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
-        """Walk, or do something with the key or the door ahead; a locked door opens to who has the key."""
+        """Walk, or do something with the key or the door ahead; the key opens a locked door."""
         x, y = ahead(state.agent)
         front, key, door = code_at(boxes(rules, state), x, y), state.key, state.door
         if action == PICKUP and front == KEY:

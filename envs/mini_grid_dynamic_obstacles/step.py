@@ -66,7 +66,7 @@ def make_golden(rules: Rules, start: tuple[int, int, int] | None, count: int) ->
         return State(agent, 0, balls)
 
     def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
-        """Let balls roll, then walk; who goes where a ball or a wall was before is hit."""
+        """Let balls roll, then walk; an agent that goes where a ball or a wall was before is hit."""
         place = ahead(state.agent)
         hit = action == FORWARD and code_at(boxes(rules, state), *place) in (WALL, BALL)
         balls = list(state.balls)

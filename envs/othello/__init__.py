@@ -1,1 +1,1 @@
-"""Othello: two players place discs that turn the other's, and who has more in the end wins."""
+"""Othello: two players place discs that turn the other's, and the one with more in the end wins."""

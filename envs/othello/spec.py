@@ -40,7 +40,7 @@ def configure() -> EnvSpec:
     return EnvSpec(
         name="Othello",
         version=0,
-        summary="Two players place discs that turn the other's, and who has more wins",
+        summary="Two players place discs that turn the other's, and the one with more wins",
         reward=Field("reward", 2, signed=True),
         rewards=None,
         observation_space=Box(0, 1, (SIDE, SIDE, 2), np.bool_),
