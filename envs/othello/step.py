@@ -65,7 +65,7 @@ def step(state: State, actions: list[Word], draws: Draws) -> tuple[State, list[W
     moves = moves_of(own, other)
     legal = moves == 0 if passes else moves & disc != 0
     turned = turned_by(disc, own, other)
-    own, other = own & ~turned | disc | turned, other & ~turned & ~disc
+    own, other = own | disc | turned, other ^ turned
     boards[turn], boards[1 - turn] = own, other
     over = own | other == FULL or other == 0 or (passes and passed)
     lead = count(own) - count(other)
@@ -80,7 +80,7 @@ def moves_of(own: Word, other: Word) -> Word:
     moves = 0
     for go in WAYS:
         moves |= go(line_of(go, own, other))
-    return moves & FULL & ~(own | other)
+    return moves & (FULL ^ (own | other))
 
 
 def turned_by(disc: Word, own: Word, other: Word) -> Word:
