@@ -115,6 +115,6 @@ def observe(state: State, agent: int) -> View:
 
 
 def masks(state: State, agent: int) -> list[Word]:
-    """Return where a disc turns others, and whether there is only a pass; none for the player who is not on turn."""
+    """Return where a disc turns others, and whether there is only a pass; nothing if it is not its turn."""
     moves, own = moves_of(state.boards[agent], state.boards[1 - agent]), state.turn == agent
     return [*(own and moves >> cell & 1 for cell in range(CELLS)), own and moves == 0]
