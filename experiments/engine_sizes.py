@@ -14,8 +14,8 @@ from pearl_marl.memory_map import Engine
 
 SLOTS = 1024
 ENGINES = (
-    ("CartPole", 4, Engine("network", products=128, side=64, rounds=4, hidden=32, layers=3)),
-    ("CartPole", 4, Engine("network", products=256, side=64, rounds=4, hidden=32, layers=3)),
+    ("CartPole", 4, Engine("network", products=8, side=16, rounds=4, hidden=32, layers=3)),
+    ("CartPole", 4, Engine("network", products=8, side=32, rounds=4, hidden=32, layers=3)),
     ("CliffWalking", 64, Engine("table", table_rows=64, logit_bits=8)),
 )
 """Environments, processing elements and engines."""
@@ -30,7 +30,11 @@ def main() -> None:
         without, whole = (
             synthesise(Build.of(get_spec(name), SLOTS, pe_num, 1024, used)) for used in (None, engine)
         )
-        size = f"{engine.products} products" if engine.kind == "network" else f"{engine.table_rows} rows"
+        size = (
+            f"{engine.products * engine.side} products"
+            if engine.kind == "network"
+            else f"{engine.table_rows} rows"
+        )
         added = " | ".join(f"{getattr(whole, column) - getattr(without, column):,g}" for column in columns)
         print(f"| {name} | {pe_num} | {engine.kind}, {size} | {added} |", flush=True)
 

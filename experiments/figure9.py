@@ -134,19 +134,21 @@ def _grown(kind: str, name: str, small: int, large: int, growth: dict[str, float
 
 def draw(rows: list[Row]) -> Any:
     """Draw three panels over slots, and the growth factors beside the paper's."""
-    figure, grid = subplots(2, 2, 10.0)
     environments = list(dict.fromkeys(row["environment"] for row in rows if row["kind"] == "predicted"))
+    figure, grid = subplots(2, 2, max(10.0, 0.4 * len(environments)))
     colours = [Colour.BLUE, Colour.ORANGE, Colour.GREEN, Colour.RED]
     colours += [Colour.PINK, Colour.SKY, Colour.BLACK, "#777777"]
-    looks = list(itertools.product(("-", "--", ":", "-."), colours))[: len(environments)]
+    looks = list(itertools.product((False, True), ("-", "--", ":", "-."), colours))[: len(environments)]
     panels = list(grid.flat)
     keys = {"lut": "LUT", "ff": "flip-flops", "bram36": "BRAM36"}
     for axes, (key, label) in zip(panels[:3], keys.items(), strict=True):
         sized = having(rows, key)
-        for name, (line, colour) in zip(environments, looks, strict=True):
+        for name, (filled, line, colour) in zip(environments, looks, strict=True):
             points = select(sized, environment=name)
             n, used = [row["n_envs"] for row in points], [row[key] for row in points]
             style = {**LINES["predicted"], "linestyle": line}
+            if filled:
+                style["markerfacecolor"] = colour
             axes.plot(n, used, color=colour, label=name, markersize=5, clip_on=False, **style)
         values = [row[key] for row in sized]
         log_axis(axes, "x", [row["n_envs"] for row in sized], ticks=True)

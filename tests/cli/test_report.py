@@ -304,7 +304,8 @@ def test_figure_9_draws_all_environments() -> None:
     for axes in panels:
         lines = axes.lines
         assert [line.get_label() for line in lines] == names()
-        assert len({(line.get_color(), line.get_linestyle()) for line in lines}) == len(names())
+        looks = {(line.get_color(), line.get_linestyle(), line.get_markerfacecolor()) for line in lines}
+        assert len(looks) == len(names())
     assert [label.get_text() for label in growth.get_yticklabels()] == names()
 
 
