@@ -19,7 +19,7 @@ from pearl_marl.compiler import scalar_words
 from pearl_marl.compiler.addresses import address_of
 from pearl_marl.compiler.loading import load
 from pearl_marl.compiler.straight_line import golden_function
-from pearl_marl.golden import GoldenFunction, call_reference
+from pearl_marl.golden import MOST_DRAWS, GoldenFunction, call_reference
 from pearl_marl.golden.tracing.checks import Argument, Result, check
 from pearl_marl.policies.device_policy import (
     ACT_ARGUMENTS,
@@ -60,18 +60,18 @@ class GoldenPolicy(DevicePolicy):
     def __init__(self, spec: EnvSpec, act: GoldenFunction) -> None:
         check_spec(spec)
         self.spec = spec
-        self._of_words, self.draws = spec.act_of_words(act)
-        inputs = tuple(Argument(f.name, f.bits, f.signed, *f.range) for f in self._inputs)
+        self._of_words = spec.act_of_words(act)
+        inputs = tuple(Argument(f.name, f.bits, f.signed, *f.range) for f in self._inputs(MOST_DRAWS))
         ends = [(0, n - 1) for n in spec.action_counts] or [field.range for field in spec.action_fields]
         due = tuple(
             Result(field.name, *pair, "the action space has", "return an action of it")
             for field, pair in zip(spec.action_fields, ends, strict=True)
         )
         check(self._of_words, inputs, due)
+        self.draws = spec.draws_of(act)
 
-    @property
-    def _inputs(self) -> list[Field]:
-        return [*self.spec.observation, *(Field(f"draw_{k}", 32) for k in range(self.draws))]
+    def _inputs(self, draws: int) -> list[Field]:
+        return [*self.spec.observation, *(Field(f"draw_{k}", 32) for k in range(draws))]
 
     def form(self, spec: EnvSpec) -> EnvSpec:
         """See :class:`DevicePolicy`: the words that ``observe()`` returns."""
@@ -89,7 +89,7 @@ class GoldenPolicy(DevicePolicy):
     @cached_property
     def source(self) -> str:
         """What is compiled of it."""
-        spec, inputs = self.spec, self._inputs
+        spec, inputs = self.spec, self._inputs(self.draws)
         count, element = len(spec.observation), spec.in_words.observation_dtype
         columns = [f"np.{f.dtype}(elements_of[s, {k}])" for k, f in enumerate(inputs[:count])]
         given = ", ".join([*columns, *(f"draws[s, {k}]" for k in range(self.draws))])

@@ -309,19 +309,19 @@ class EnvSpec:
             None if self.unpack is None else unpack_of(golden.view, self.unpack, self.observation),
         )
 
-    def act_of_words(self, act: GoldenFunction) -> tuple[GoldenFunction, int]:
-        """Return an author's ``act(view, draws)`` as a function of words, and how many draws it asks for.
+    def act_of_words(self, act: GoldenFunction) -> GoldenFunction:
+        """Return an author's ``act(view, draws)`` as a function of an observation's words and of draws."""
+        return act_of(self._view, act, len(self.observation), self.action_fields, self.layout.fraction)
 
-        The words are those of an observation, and then the draws.
-        """
+    def draws_of(self, act: GoldenFunction) -> int:
+        """Return how many draws an author's ``act(view, draws)`` asks for."""
         view, fraction = self._view, self.layout.fraction
-        function = act_of(view, act, len(self.observation), self.action_fields, fraction)
         # No path through it changes how many it asks for: any observation will do.
         state = call_reference(self.positional.initial, [0] * self.reset_draws)
         words = call_reference(self.positional.observe, state, *self.views[0])
         counting = CountingDraws(fraction)
         as_python_runs_it(act, fraction is not None)(view_from(view, list(map(int, words))), counting)
-        return function, counting.count
+        return counting.count
 
     @cached_property
     def plain_unpack(self) -> GoldenFunction | None:
