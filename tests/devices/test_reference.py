@@ -47,6 +47,7 @@ from unittest import mock
 import numba
 import numpy as np
 import pearl_marl
+from pearl_marl.batch.actions import room_for_words
 from pearl_marl.compiler import kernel_source, kernels
 from pearl_marl.devices import BatchConfig, Reference
 
@@ -60,7 +61,7 @@ with mock.patch.object(kernel_source, "kernel_source", side_effect=POISON), \\
         device = Reference().open(BatchConfig(spec=spec, n_envs=3, max_cycles=2))
         device.reset(seed=0)
         for _ in range(3):
-            words = np.zeros(3 * spec.agents, spec.action.dtype)
+            words = np.zeros_like(room_for_words(spec, 3 * spec.agents))
             if device.action_masks is not None:
                 words[:] = device.action_masks.argmax(-1)
             device.step_words(words)  # actions are checked and encoded for all devices alike, by Numba
