@@ -7,6 +7,7 @@ Python and compiled.
 from __future__ import annotations
 
 import hashlib
+import inspect
 from functools import cached_property, partial
 from typing import Any
 
@@ -115,7 +116,8 @@ class GoldenPolicy(DevicePolicy):
 
 def compiled(policy: GoldenPolicy, elements: np.dtype[Any]) -> CompiledPolicy:
     """Return a policy as a rollout calls it; its elements have one dtype only."""
-    digest = hashlib.sha256(repr((policy.source, numba.__version__, np.__version__)).encode()).hexdigest()
+    parts = policy.source, inspect.getsource(scalar_words), numba.__version__, np.__version__
+    digest = hashlib.sha256(repr(parts).encode()).hexdigest()
     name = f"{policy.spec.name}_act_{digest[:16]}"
     if name not in _loaded:
         inlined = partial(numba.njit, error_model="numpy", forceinline=True)
