@@ -234,10 +234,10 @@ class _KernelWriter:
             "$SEEN": masks_at + alive_at,
             "$LAST": f"final_at,{masks_at}{alive_at}",
         }
-        for name, lines in parts.items():
-            for width in range(0, 17, 4):
-                indent = " " * width
-                words[f"{indent}${name}\n"] = "".join(f"{indent}{line}\n" for line in lines)
+        for placeholder in template.splitlines(keepends=True):
+            indent, dollar, name = placeholder.rstrip("\n").partition("$")
+            if dollar and name in parts:
+                words[placeholder] = "".join(f"{indent}{line}\n" for line in parts[name])
         return fill(template, words)
 
     def act(self) -> Lines:
