@@ -202,8 +202,9 @@ class Native(Device):
     ) -> tuple[Rollout, Observed]:
         config, spec = self.config, self.config.spec
         seen = policy.form(spec)
-        compiled = compiled_policy(policy, element_dtype(seen))
-        if compiled is None or (record and recorded_form(spec) is not seen):
+        by_single_steps = record and recorded_form(spec) is not seen
+        compiled = None if by_single_steps else compiled_policy(policy, element_dtype(seen))
+        if compiled is None:
             return super()._rollout(policy, steps, record, episodes)
         kernels, actions = compile_kernels(seen, self._elapsed.dtype), np.dtype(spec.action_dtype)
         step = address_of_step(kernels, actions, self._arguments, self.reward_table)

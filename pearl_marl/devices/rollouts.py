@@ -185,15 +185,18 @@ def check(config: BatchConfig, policy: object, steps: Any, record: object, episo
     spec = config.spec
     if not isinstance(policy, DevicePolicy):
         raise ArgumentError(
-            f"policy is {policy!r}; a rollout takes a policy in integers, as pearl_marl.load_policy returns"
+            f"policy is {policy!r}; a rollout takes a policy in integers, as pearl_marl.load_policy returns, "
+            "or a rule of your own, a GoldenPolicy"
         )
-    for form in (lambda spec: spec, policy.form):
-        for what in ("observation_space", "action_space"):
-            theirs, own = getattr(form(policy.spec), what), getattr(form(spec), what)
-            if theirs != own:
-                raise ArgumentError(
-                    f"the policy is for {policy.spec.name} with the {what} {theirs}; here it is {own}"
-                )
+    for what, theirs, own in (
+        ("observation_space", policy.spec.observation_space, spec.observation_space),
+        ("action_space", policy.spec.action_space, spec.action_space),
+        ("elements", policy.form(policy.spec).observation_space, policy.form(spec).observation_space),
+    ):
+        if theirs != own:
+            raise ArgumentError(
+                f"the policy is for {policy.spec.name} with the {what} {theirs}; here it is {own}"
+            )
     checked_integer("steps", steps)
     checked_count_or_none("episodes", episodes)
     checked_flag("record", record)
