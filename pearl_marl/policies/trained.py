@@ -198,14 +198,15 @@ class NetworkPolicy(_Trained):
         rounded = spec.unpack is not None and spec.observation_dtype.kind == "f"
         if random or rounded or not isinstance(network, Network) or not is_dense(network):
             return None
-        nothing = torch.empty(1, *spec.observation_shape), torch.zeros(1, dtype=torch.int64)
-        observed = network.observed(*nothing)
-        offsets = network.encoder.offsets if network.encoder.kind == "numbers" else torch.zeros(0)
+        encoder, nothing = network.encoder, torch.zeros(0)
+        numbers = encoder.kind == "numbers"
+        mean, scale = (nothing, nothing) if numbers else encoder.statistics()
+        offsets = encoder.offsets if numbers else nothing
         return DenseNetwork(
             spec,
             network.layers(),
-            observed.mean,
-            observed.scale,
+            mean.numpy(),
+            scale.numpy(),
             offsets.long().numpy(),
             tuple(self.heads) or (self.outputs,),
         )
