@@ -65,7 +65,7 @@ def initial(draws: Draws) -> State:
 
 
 def step(state: State, action: list[Word], draws: Draws) -> tuple[State, Word, Word]:
-    """Let each stage order, receive what comes and serve whom it can; the reward is everyone's profit."""
+    """Let each stage order, receive what comes and sell what it can; the reward is the profit of all."""
     draw = draws.bits()
     demand = sum(draw >= threshold for threshold in DEMANDS)
     stored, coming = state.stored, [state.coming_0, state.coming_1, state.coming_2]

@@ -16,7 +16,7 @@ SIDE, CELLS = 8, 64
 PASS = CELLS
 FULL = (1 << CELLS) - 1
 FIRST, SECOND = 1 << 28 | 1 << 35, 1 << 27 | 1 << 36
-"""The discs that lie on the board at first, of whoever begins and of the other."""
+"""The discs on the board at first: of the player who begins, and of the other."""
 
 
 class State(NamedTuple):
