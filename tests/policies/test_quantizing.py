@@ -99,12 +99,13 @@ def test_planes_of_larger_numbers_are_refused() -> None:
 
 
 def test_planes_of_floats_are_refused() -> None:
-    space = Box(0, 1, pearl_marl.get_spec("TicTacToe").observation_shape, np.float32)
-    spec = replace(pearl_marl.get_spec("TicTacToe"), observation_space=space)
+    bits = pearl_marl.get_spec("TicTacToe")
+    space = Box(0, 1, bits.observation_shape, np.float32)
+    spec = replace(bits, observation_space=space)
     with pytest.raises(ArgumentError, match="planes of floats, and only planes of 0 and 1"):
         quantized(NetworkPolicy(spec, "logits", 8), np.zeros((4, *space.shape), np.float32))
     with pytest.raises(ArgumentError, match="patches are of planes of 0 and 1, and observations are float32"):
-        random_network(spec, 5)
+        replace(random_network(bits, 5), spec=spec)
 
 
 def test_layers_share_a_table_where_weights_are_large_enough() -> None:
