@@ -268,8 +268,14 @@ def test_a_module_that_ends_python(pearl: Any, tmp_path: Path, monkeypatch: pyte
 
 
 @pytest.mark.usefixtures("registry")
-@pytest.mark.parametrize("agents", [1, 3])
-@pytest.mark.parametrize("name", ["Ab", LONG])
+@pytest.mark.parametrize(
+    ("name", "agents"),
+    [
+        ("Ab", 1),
+        (LONG, 3),
+        *(pytest.param(*both, marks=pytest.mark.exhaustive) for both in (("Ab", 3), (LONG, 1))),
+    ],
+)
 def test_what_is_written_is_clean(
     pearl: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, agents: int
 ) -> None:

@@ -332,6 +332,7 @@ def test_faults_of_a_board_in_an_actor(opened: Any) -> None:
     assert all("board" in error or "xdma" in error for error in errors)
 
 
+@pytest.mark.exhaustive  # below, a resource that the cluster never had
 def test_a_resource_that_is_gone(opened: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """By hand, later, it goes on."""
     device = opened(Ray(["native", "native"], resources=[None, {"fpga": 1}], checkpoint_every=4))

@@ -180,6 +180,7 @@ LONG = (
     "pearl bench steps CliffWalking --n-agents 1024 --rounds 1 --seconds 0.01",  # its own tests do so
     "pearl synth CliffWalking --n-envs 16 --pe-num 4 --data-wl 32 --option is_slippery=true "
     "--part ecp5 --json",
+    "pearl synth CliffWalking --n-envs 16,64 --pe-num 4 --data-wl 32",  # the walk synthesises
     "pearl bench training LevelBasedForaging --quick",  # the benchmark's own tests do so
     "pearl report --only figure3 --only table2 --out out/report",  # its own tests do so, with --quick
     "pearl verify CliffWalking --against CliffWalking-v1",  # its own tests do so, of fewer episodes

@@ -155,7 +155,8 @@ def test_a_missing_tool_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @needs_yosys
-@pytest.mark.parametrize("part", ["xc7", pytest.param("gowin", marks=pytest.mark.exhaustive)])
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("part", ["xc7", "gowin"])
 def test_large_memories_are_found_in_block_ram(part: str, monkeypatch: pytest.MonkeyPatch) -> None:
     arguments = ["synth", *DEEP, "--part", part]
     result = CliRunner().invoke(app, arguments)

@@ -10,6 +10,8 @@ from pearl_marl.batch.actions import random_actions
 from pearl_marl.compiler.packing import row_dtype
 from pearl_marl.errors import ArgumentError
 
+from ..sampling import KINDS, sampled
+
 PACKING = [name for name in pearl_marl.list_envs() if pearl_marl.get_spec(name).unpack is not None]
 
 
@@ -39,7 +41,7 @@ def test_they_say_what_the_planes_say(name: str, device: str) -> None:
     assert ended
 
 
-@pytest.mark.parametrize("name", PACKING)
+@pytest.mark.parametrize("name", sampled(PACKING, KINDS))
 def test_spaces(name: str) -> None:
     env = pearl_marl.parallel_env(name, observations="packed")
     observations, _ = env.reset(seed=0)

@@ -87,7 +87,7 @@ def plugged_in(tmp_path: Path) -> Iterator[str]:
             running.result()
 
 
-@pytest.mark.exhaustive  # the test below steps it too, in one mode
+@pytest.mark.exhaustive  # the bench at its serial line above sends what a program sends
 def test_a_program_steps_the_ulx3s(plugged_in: str) -> None:
     """Every word of every step, in every mode, over a line of bits."""
     for plan in runs(SPEC, SIZE[0], 8, max_cycles=2):
@@ -97,6 +97,7 @@ def test_a_program_steps_the_ulx3s(plugged_in: str) -> None:
         assert plan.truncated
 
 
+@pytest.mark.exhaustive  # tests/devices/test_faults.py damages what any board sends
 def test_the_ulx3s_goes_on_after_damage(plugged_in: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whichever answer is damaged, steps go on as if nothing had happened."""
     actions = np.random.default_rng(3).integers(0, 4, (4, SIZE[0]), np.uint8)
