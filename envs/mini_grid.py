@@ -84,7 +84,7 @@ class Rules(NamedTuple):
         return Agent
 
 
-def view_class_of(things: Sequence[Thing]) -> Any:
+def view_class_of(things: Sequence[Thing] = THINGS) -> Any:
     """Return the class of what an agent sees: a code for each cell, as :func:`view` returns them."""
 
     class View(NamedTuple):
@@ -106,6 +106,11 @@ def code_at(boxes: Sequence[Box], x: Word, y: Word) -> Word:
         if box.left <= x <= box.right and box.top <= y <= box.bottom:
             code = box.code
     return code
+
+
+def facing(boxes: Sequence[Box], agent: Any) -> Word:
+    """Return what is in front of the agent."""
+    return code_at(boxes, *ahead(agent))
 
 
 def walked(

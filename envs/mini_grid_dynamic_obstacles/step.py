@@ -13,9 +13,8 @@ from pearl_marl.envs.mini_grid import (
     Box,
     Rules,
     Thing,
-    ahead,
     cell,
-    code_at,
+    facing,
     view,
     view_class_of,
     walked,
@@ -67,13 +66,12 @@ def make_golden(rules: Rules, start: tuple[int, int, int] | None, count: int) ->
 
     def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
         """Let balls roll, then walk; an agent that goes where a ball or a wall was before is hit."""
-        place = ahead(state.agent)
-        hit = action == FORWARD and code_at(boxes(rules, state), *place) in (WALL, BALL)
+        hit = action == FORWARD and facing(boxes(rules, state), state.agent) in (WALL, BALL)
         balls = list(state.balls)
         for k in range(count):
             balls[k] = rolled(state.agent, balls, k, draws)
         state = state._replace(balls=balls)
-        state, reward, arrives = walked(rules, state, action, code_at(boxes(rules, state), *place))
+        state, reward, arrives = walked(rules, state, action, facing(boxes(rules, state), state.agent))
         return state, rules.max_steps + 1 if hit else reward, arrives or hit
 
     def rolled(agent: Any, balls: Sequence[Any], k: int, draws: Draws) -> Any:

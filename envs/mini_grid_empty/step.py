@@ -2,18 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from pearl_marl.envs.mini_grid import (
-    GOAL,
-    THINGS,
-    Box,
-    Rules,
-    ahead,
-    cell,
-    code_at,
-    view,
-    view_class_of,
-    walked,
-)
+from pearl_marl.envs.mini_grid import GOAL, Box, Rules, cell, facing, view, view_class_of, walked
 from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Range
 from pearl_marl.spec import Golden
@@ -26,7 +15,7 @@ def boxes(rules: Rules, state: Any) -> list[Box]:
 
 def make_golden(rules: Rules, start: tuple[int, int, int] | None) -> Golden:
     """Return the golden functions; ``start`` is column, row and direction, or None for any."""
-    agent_class, view_class = rules.agent_class, view_class_of(THINGS)
+    agent_class, view_class = rules.agent_class, view_class_of()
 
     class State(NamedTuple):
         agent: agent_class
@@ -42,7 +31,7 @@ def make_golden(rules: Rules, start: tuple[int, int, int] | None) -> Golden:
 
     def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
         """Turn, or go ahead where no wall is."""
-        return walked(rules, state, action, code_at(boxes(rules, state), *ahead(state.agent)))
+        return walked(rules, state, action, facing(boxes(rules, state), state.agent))
 
     def observe(state: State) -> Any:
         """Return what the agent sees, through walls too."""

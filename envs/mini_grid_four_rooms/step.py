@@ -3,20 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from pearl_marl.envs.mini_grid import (
-    EMPTY,
-    GOAL,
-    THINGS,
-    WALL,
-    Box,
-    Rules,
-    ahead,
-    cell,
-    code_at,
-    view,
-    view_class_of,
-    walked,
-)
+from pearl_marl.envs.mini_grid import EMPTY, GOAL, WALL, Box, Rules, cell, facing, view, view_class_of, walked
 from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Array, Range
 from pearl_marl.spec import Golden
@@ -58,7 +45,7 @@ def cell_of(number: Word, gaps: Sequence[tuple[Word, Word]]) -> tuple[Word, Word
 
 def make_golden(rules: Rules) -> Golden:
     """Return the golden functions."""
-    agent_class, view_class = rules.agent_class, view_class_of(THINGS)
+    agent_class, view_class = rules.agent_class, view_class_of()
 
     class Goal(NamedTuple):
         x: Range[1, LAST]
@@ -81,7 +68,7 @@ def make_golden(rules: Rules) -> Golden:
 
     def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
         """Walk."""
-        return walked(rules, state, action, code_at(boxes(rules, state), *ahead(state.agent)))
+        return walked(rules, state, action, facing(boxes(rules, state), state.agent))
 
     def observe(state: State) -> Any:
         """Return what the agent sees."""

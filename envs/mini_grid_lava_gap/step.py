@@ -10,9 +10,8 @@ from pearl_marl.envs.mini_grid import (
     Box,
     Rules,
     Thing,
-    ahead,
     cell,
-    code_at,
+    facing,
     view,
     view_class_of,
     walked,
@@ -57,7 +56,7 @@ def make_golden(rules: Rules) -> Golden:
 
     def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
         """Walk; the lava ends the episode, too."""
-        front = code_at(boxes(rules, state), *ahead(state.agent))
+        front = facing(boxes(rules, state), state.agent)
         state, reward, arrives = walked(rules, state, action, front, (EMPTY, GOAL, LAVA))
         return state, reward, arrives or (action == FORWARD and front == LAVA)
 

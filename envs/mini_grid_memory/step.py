@@ -3,26 +3,14 @@
 from typing import Any, NamedTuple
 
 from pearl_marl.envs import mini_grid
-from pearl_marl.envs.mini_grid import (
-    GREEN,
-    WALL,
-    Box,
-    Rules,
-    Thing,
-    ahead,
-    cell,
-    code_at,
-    view,
-    view_class_of,
-    walked,
-)
+from pearl_marl.envs.mini_grid import WALL, Box, Rules, Thing, cell, facing, view, view_class_of, walked
 from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Flag, Range
 from pearl_marl.spec import Golden
 
 KEY, BALL = 4, 5
 """Codes of cells."""
-THINGS = (*mini_grid.THINGS, Thing(mini_grid.KEY, GREEN), Thing(mini_grid.BALL, GREEN))
+THINGS = (*mini_grid.THINGS, Thing(mini_grid.KEY, mini_grid.GREEN), Thing(mini_grid.BALL, mini_grid.GREEN))
 ROOM = 4
 """The last column of the room at the start, which is closed but for its middle row."""
 
@@ -69,7 +57,7 @@ def make_golden(rules: Rules, random_length: bool) -> Golden:
 
     def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
         """Walk; beside either thing at the hall's end the episode is over."""
-        state, _, _ = walked(rules, state, action, code_at(boxes(rules, state), *ahead(state.agent)))
+        state, _, _ = walked(rules, state, action, facing(boxes(rules, state), state.agent))
         agent: Any = state.agent
         arrives = agent.x == state.hall + 1 and agent.y in (middle - 1, middle + 1)
         is_like = (agent.y < middle) == (state.shows_key == state.key_above)
