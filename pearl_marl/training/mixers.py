@@ -42,7 +42,7 @@ class MonotonicMixer(nn.Module):
         # It begins near the sum of the values; at weights of the usual size, it would be many times that.
         with torch.no_grad():
             self.linear.linear.weight *= 0.01
-            weights, _, outputs, _ = self.linear.linear.bias.split(self.sizes)
+            weights, _, outputs, _ = torch.split(self.linear.linear.bias, self.sizes)
             weights.fill_(1)
             outputs.fill_(1 / width)
             self.bias.weight *= 0.01
@@ -54,7 +54,7 @@ class MonotonicMixer(nn.Module):
 
     def forward(self, values: Tensor, state: Tensor) -> Tensor:
         """Return the values of teams, shape ``(worlds,)``, of their agents', ``(worlds, agents)``."""
-        weights, biases, outputs, bias = self.linear(state).split(self.sizes, -1)
+        weights, biases, outputs, bias = torch.split(self.linear(state), self.sizes, -1)
         weights = weights.abs().view(*values.shape, -1)
         hidden = elu((values[..., None] * weights).sum(1) + biases)
         total: Tensor = (hidden * outputs.abs()).sum(-1) + self.bias(bias.relu())[:, 0]
