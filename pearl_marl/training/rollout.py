@@ -117,7 +117,7 @@ class RolloutWorker:
             worlds = left.reshape(steps, -1, self.spec.agents).all(2)
             over = worlds.repeat_interleave(self.spec.agents, 1)
         decides = torch.stack(acting)
-        values = self._mixed(self.expected(inputs, decides), inputs, decides)
+        values = self._mixed(self.expected(inputs, decides), inputs.state)
         cut = truncations & ~terminations
         # Only the time limit ended these episodes: what was to come counts. The device tells neither the
         # state that a central critic would be given then, nor the agent that would have been on turn, nor
@@ -128,7 +128,7 @@ class RolloutWorker:
         unknown |= self.excluded() & decides[:-1]
         if cut.any():
             final = inputs.pick(slice(0, -1))._replace(obs=final_obs, masks=None)
-            wanted += settings.discount * self._mixed(self.expected_at_ends(final, cut), final, cut)
+            wanted += settings.discount * self._mixed(self.expected_at_ends(final, cut), final.state)
         trajectories = Trajectories(wanted, values, over, self._any(decides), self._any(unknown))
         advantages, mask = estimated_advantages(trajectories, settings.discount, settings.gae_lambda)
         mask &= decides[:-1]
@@ -177,18 +177,15 @@ class RolloutWorker:
         """Return what the critic expects of where time limits cut episodes off."""
         return self._values(inputs, cut)
 
-    def _mixed(self, values: Tensor, inputs: Inputs, counted: Tensor) -> Tensor:
-        """Return, for each agent, the value of its team, if a mixer makes one of the agents' values.
-
-        Those that do not count are 0, and so is the value of a team of which none counts.
-        """
+    def _mixed(self, values: Tensor, state: Tensor | None) -> Tensor:
+        """Return, for each agent, the value of its team, if a mixer makes one of the agents' values."""
         mixer, agents = self.model.mixer, self.spec.agents
         if mixer is None:
             return values
-        states = [None] * len(values) if inputs.state is None else inputs.state[:, ::agents]
+        states = [None] * len(values) if state is None else state[:, ::agents]
         worlds = values.reshape(len(values), -1, agents)
         teams = torch.stack([mixer(*step) for step in zip(worlds, states, strict=True)])
-        return teams.repeat_interleave(agents, 1) * self._any(counted)
+        return teams.repeat_interleave(agents, 1)
 
     def _any(self, flags: Tensor) -> Tensor:
         """Return, for each agent, its own flag; with a mixer, whether any of its team has it."""
