@@ -18,15 +18,16 @@ from pearl_marl.cli.interrupts import interrupts
 from pearl_marl.errors import ArgumentError
 from pearl_marl.training.presets import BEST
 
-ALGORITHMS = ("ppo", "pqn", "dqn", "q-learning", "ippo", "mappo", "iql", "self-play")
-REMEMBERING = ("ppo", "ippo", "mappo", "pqn")
+ALGORITHMS = ("ppo", "pqn", "dqn", "q-learning", "ippo", "mappo", "iql", "vdn", "qmix", "self-play")
+REMEMBERING = ("ppo", "ippo", "mappo", "pqn", "vdn", "qmix")
 """Those that learn policies with memory."""
 
 Algorithm = Annotated[
     str | None,
     typer.Option(
         "--algo",
-        help="`ppo`, `pqn`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `self-play`.",
+        help="`ppo`, `pqn`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `vdn`, `qmix`, "
+        "`self-play`.",
         autocompletion=common.completed(lambda: ALGORITHMS),
         show_default="`pqn` of MountainCar without --quantize, else `ppo`",
     ),
@@ -42,7 +43,7 @@ Memory = Annotated[
     str | None,
     typer.Option(
         "--memory",
-        help="Memory of the policy: `none` or `gru`; `ppo`, `mappo` and `pqn`.",
+        help="Memory of the policy: `none` or `gru`; `ppo`, `mappo`, `pqn`, `vdn` and `qmix`.",
         show_default="none",
     ),
 ]

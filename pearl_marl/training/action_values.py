@@ -25,12 +25,13 @@ class ActionValues(nn.Module):
     """A policy by action values, which explores as its settings say.
 
     It has the methods that a rollout takes of :class:`~pearl_marl.training.actor_critic.ActorCritic`. What is
-    expected of an observation is the value of the best action.
+    expected of an observation is the value of the best action. Those of a world's agents may be mixed: see
+    :mod:`pearl_marl.training.mixers`. A mixer that has a method ``see`` is given states of worlds.
     """
 
-    central, of_best = False, True
+    of_best = True
 
-    def __init__(self, spec: EnvSpec, settings: Any) -> None:
+    def __init__(self, spec: EnvSpec, settings: Any, mixer: nn.Module | None = None) -> None:
         super().__init__()
         self.settings = settings
         self.policy = NetworkPolicy(
@@ -43,6 +44,8 @@ class ActionValues(nn.Module):
             memory=settings.memory,
         )
         self.memory_size = settings.width
+        self.mixer: Any = mixer
+        self.central = hasattr(mixer, "see")
 
     @classmethod
     def of(cls, spec: EnvSpec, settings: Any) -> Self:
@@ -52,6 +55,8 @@ class ActionValues(nn.Module):
     def see(self, inputs: Inputs) -> None:
         """Take a batch into the statistics by which observations are standardised."""
         self.policy.see(inputs.obs, inputs.position)
+        if self.central:
+            self.mixer.see(inputs.state)
 
     def outputs(self, inputs: Inputs) -> Tensor:
         """Return the action values."""

@@ -44,6 +44,11 @@ class Inputs(NamedTuple):
         return self.flat(), Recall(self.memory[0], self.begins, acting(self.masks))
 
 
+def world_space(spec: EnvSpec) -> Box:
+    """Return the space of the state of a world, as networks are given it."""
+    return Box(-np.inf, np.inf, (len(spec.state),), np.float32)
+
+
 class ActorCritic(nn.Module):
     """A policy and its critic.
 
@@ -64,6 +69,9 @@ class ActorCritic(nn.Module):
 
     of_best = False
     """Whether what is expected is of the best action that masks allow, and not of an observation."""
+
+    mixer = None
+    """Makes the value of a team of its agents' values: see :mod:`pearl_marl.training.mixers`."""
 
     @classmethod
     def of(cls, spec: EnvSpec, settings: Any, central: bool = False) -> Self:
@@ -92,8 +100,7 @@ class ActorCritic(nn.Module):
         # In worlds the critic expects nothing at first: rewards are rare, and noise would outdo them.
         scale = 0.01 if spec.agents > 1 else 1.0
         if central:
-            state = Box(-np.inf, np.inf, (len(spec.state),), np.float32)
-            self.critic = Network(state, spec.agents, width, scale)
+            self.critic = Network(world_space(spec), spec.agents, width, scale)
         else:
             self.critic = nn.Linear(width, 1)
             if not self.shared:

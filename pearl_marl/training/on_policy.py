@@ -75,14 +75,20 @@ class OnPolicyTrainer(Trainer):
         """
         raise NotImplementedError
 
-    def forward(self, samples: RolloutBuffer, minibatch: Tensor) -> tuple[Tensor, Tensor, RolloutBuffer]:
+    def all_steps(self, samples: RolloutBuffer, minibatch: Tensor) -> tuple[Tensor, Tensor, RolloutBuffer]:
         """Return the model's outputs and values for rows, or for all steps of chunks; and these samples."""
         if not self.policy.remembers:
             batch = samples.pick(minibatch)
             return *self.model(batch.inputs), batch
         batch = samples.pick((slice(None), minibatch))
         outputs, values, _ = self.model.unrolled(batch.inputs)
-        batch = batch.flat()
+        return outputs, values, batch.flat()
+
+    def forward(self, samples: RolloutBuffer, minibatch: Tensor) -> tuple[Tensor, Tensor, RolloutBuffer]:
+        """Return the same for those of these rows, or steps of chunks, that are learned from."""
+        outputs, values, batch = self.all_steps(samples, minibatch)
+        if not self.policy.remembers:
+            return outputs, values, batch
         rows = batch.loss_mask.nonzero()[:, 0]
         return outputs[rows], values[rows], batch.pick(rows)
 
@@ -130,11 +136,13 @@ class OnPolicyTrainer(Trainer):
         if self.policy.remembers:
             copied("memory of agents", self.worker.memory, state["memory"], -1, 1)
 
+    @property
+    def minibatch(self) -> int:
+        """How many rows, or chunks, are learned from at a time."""
+        size: int = self.settings.minibatch
+        return max(size // self.settings.chunk_length, 1) if self.policy.remembers else size
+
     def _minibatches(self, rows: Tensor) -> Iterator[Tensor]:
-        settings = self.settings
-        size = settings.minibatch
-        if self.policy.remembers:
-            size = max(size // settings.chunk_length, 1)
-        for _ in range(settings.epochs):
+        for _ in range(self.settings.epochs):
             order = torch.randperm(len(rows), generator=self.random, device=self.where)
-            yield from torch.split(rows[order], size)
+            yield from torch.split(rows[order], self.minibatch)

@@ -18,6 +18,22 @@ FORAGING: dict[str, Any] = {
     "temperature": 1.0,
 }
 
+# Rewards are made large, to outdo the values that networks begin with. Two agents that want to be in the same
+# cell need some random actions.
+FORAGING_TEAM: dict[str, Any] = {
+    "n_agents": 512,
+    "rollout_length": 16,
+    "iterations": 120,
+    "minibatch": 512,
+    "learning_rate": 2e-3,
+    "discount": 0.95,
+    "q_lambda": 0.8,
+    "exploration_fraction": 0.3,
+    "reward_scale": 10.0,
+    "sharing": "indicator",
+    "evaluation_epsilon": 0.1,
+}
+
 # Many steps make a soup, which is worth 20: a long view, and small rewards.
 # Learn with --option reward_shaping_factor=1; what is cooked counts without it.
 COOKING: dict[str, Any] = {
@@ -49,6 +65,19 @@ WAREHOUSE: dict[str, Any] = {
     "width": 128,
     "sharing": "indicator",
     "temperature": 0.7,
+}
+
+WAREHOUSE_TEAM: dict[str, Any] = {
+    "n_agents": 1024,
+    "rollout_length": 32,
+    "iterations": 150,
+    "minibatch": 2048,
+    "learning_rate": 2e-3,
+    "q_lambda": 0.9,
+    "exploration_fraction": 0.4,
+    "reward_scale": 10.0,
+    "sharing": "indicator",
+    "evaluation_epsilon": 0.05,
 }
 
 # MinAtar's games: pictures of ten by ten, and points that come one at a time.
@@ -147,9 +176,13 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     },
     ("ppo", "LevelBasedForaging"): FORAGING,
     ("mappo", "LevelBasedForaging"): FORAGING,
+    ("vdn", "LevelBasedForaging"): FORAGING_TEAM,
+    ("qmix", "LevelBasedForaging"): FORAGING_TEAM,
     ("ppo", "Overcooked"): COOKING,
     ("ppo", "RobotWarehouse"): WAREHOUSE,
     ("mappo", "RobotWarehouse"): WAREHOUSE,
+    ("vdn", "RobotWarehouse"): WAREHOUSE_TEAM,
+    ("qmix", "RobotWarehouse"): WAREHOUSE_TEAM,
     # Two players that share nothing: each has a network of its own.
     ("ppo", "CoinGame"): {
         "n_agents": 512,

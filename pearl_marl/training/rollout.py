@@ -117,7 +117,7 @@ class RolloutWorker:
             worlds = left.reshape(steps, -1, self.spec.agents).all(2)
             over = worlds.repeat_interleave(self.spec.agents, 1)
         decides = torch.stack(acting)
-        values = self.expected(inputs, decides)
+        values = self._mixed(self.expected(inputs, decides), inputs.state)
         cut = truncations & ~terminations
         # Only the time limit ended these episodes: what was to come counts. The device tells neither the
         # state that a central critic would be given then, nor the agent that would have been on turn, nor
@@ -128,9 +128,10 @@ class RolloutWorker:
         unknown |= self.excluded() & decides[:-1]
         if cut.any():
             final = inputs.pick(slice(0, -1))._replace(obs=final_obs, masks=None)
-            wanted += settings.discount * self.expected_at_ends(final, cut)
-        trajectories = Trajectories(wanted, values, over, decides, unknown)
+            wanted += settings.discount * self._mixed(self.expected_at_ends(final, cut), final.state)
+        trajectories = Trajectories(wanted, values, over, self._any(decides), self._any(unknown))
         advantages, mask = estimated_advantages(trajectories, settings.discount, settings.gae_lambda)
+        mask &= decides[:-1]
         inputs = inputs.pick(slice(0, -1))
         return RolloutBuffer(
             inputs, chosen, log_probs, advantages, advantages + values[:-1], mask, rewards, ended
@@ -175,6 +176,23 @@ class RolloutWorker:
     def expected_at_ends(self, inputs: Inputs, cut: Tensor) -> Tensor:
         """Return what the critic expects of where time limits cut episodes off."""
         return self._values(inputs, cut)
+
+    def _mixed(self, values: Tensor, state: Tensor | None) -> Tensor:
+        """Return, for each agent, the value of its team, if a mixer makes one of the agents' values."""
+        mixer, agents = self.model.mixer, self.spec.agents
+        if mixer is None:
+            return values
+        states = [None] * len(values) if state is None else state[:, ::agents]
+        worlds = values.reshape(len(values), -1, agents)
+        teams = torch.stack([mixer(*step) for step in zip(worlds, states, strict=True)])
+        return teams.repeat_interleave(agents, 1)
+
+    def _any(self, flags: Tensor) -> Tensor:
+        """Return, for each agent, its own flag; with a mixer, whether any of its team has it."""
+        agents = self.spec.agents
+        if self.model.mixer is None:
+            return flags
+        return flags.reshape(len(flags), -1, agents).any(2).repeat_interleave(agents, 1)
 
     def _values(self, inputs: Inputs, wanted: Tensor) -> Tensor:
         """Return what the critic expects where it is wanted, else 0; a row a step and a column an agent."""

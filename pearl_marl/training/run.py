@@ -21,7 +21,7 @@ from pearl_marl.evaluation.matches import Match
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies.loading import random_policy
 from pearl_marl.spec import EnvSpec
-from pearl_marl.training import dqn, ppo, pqn, q_learning, self_play
+from pearl_marl.training import dqn, ppo, pqn, q_learning, self_play, teams
 from pearl_marl.training.presets import PRESETS
 from pearl_marl.training.run_folder import POLICY, RunFolder
 from pearl_marl.training.trainer import threads_for
@@ -32,6 +32,8 @@ ALGORITHMS: dict[str, Any] = {
     "self-play": self_play.SelfPlay,
     "dqn": dqn.DQN,
     "pqn": pqn.PQN,
+    "vdn": teams.VDN,
+    "qmix": teams.QMIX,
     "q-learning": q_learning.QLearning,
 }
 SETTINGS: dict[str, Any] = {
@@ -40,6 +42,8 @@ SETTINGS: dict[str, Any] = {
     "self-play": self_play.SelfPlaySettings,
     "dqn": dqn.DQNSettings,
     "pqn": pqn.PQNSettings,
+    "vdn": teams.VDNSettings,
+    "qmix": teams.QMIXSettings,
     "q-learning": q_learning.QLearningSettings,
 }
 

@@ -89,6 +89,8 @@ def test_the_page_lists_every_setting_with_its_default() -> None:
     tables = re.findall(r"^`([\w-]+)`.*:\n\n((?:\|.*\n)+)", section, re.MULTILINE)
     listed = {name: re.findall(r"^\| `(\w+)` \| (\S+) \|", table, re.MULTILINE) for name, table in tables}
     listed["self-play"] = listed["ppo"] + listed["self-play"]
+    listed["vdn"] = [row for row in listed["pqn"] if row[0] != "rewards"] + listed["vdn"]
+    listed["qmix"] = listed["vdn"] + listed["qmix"]
     assert listed.keys() | {"mappo"} == training.SETTINGS.keys()
     assert training.SETTINGS["mappo"] is training.SETTINGS["ppo"]
     for algorithm, rows in listed.items():

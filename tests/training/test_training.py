@@ -52,6 +52,8 @@ SMALL: dict[str, dict[str, Any]] = {
 OF_WORLDS: dict[str, tuple[str, dict[str, Any]]] = {
     "pqn": ("LevelBasedForaging", {**SMALL["pqn"], "rewards": "sum", "sharing": "indicator"}),
     "mappo": ("LevelBasedForaging", {**SMALL["ppo"], "rewards": "sum", "sharing": "none"}),
+    "vdn": ("LevelBasedForaging", {**SMALL["pqn"], "sharing": "none"}),
+    "qmix": ("LevelBasedForaging", {**SMALL["pqn"], "memory": "gru", "chunk_length": 4}),
     "self-play": ("ConnectFour", {**SMALL["ppo"], "join_every": 2}),
 }
 """Trainers that are for several agents: an environment, and settings."""
