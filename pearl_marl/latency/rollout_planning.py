@@ -10,7 +10,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.elaboration import act_core, clocked
 from pearl_marl.hardware.engines import with_engine
-from pearl_marl.hardware.fitting import Part, modelled_bram36, modelled_dsp
+from pearl_marl.hardware.fitting import DRAW_DSP, Part, modelled_bram36, modelled_dsp
 from pearl_marl.latency.planning import MAX_PE_NUM, NEAR
 from pearl_marl.latency.rollouts import rollout_step_cycles
 from pearl_marl.memory_map import Engine, MemoryMap, memory_map
@@ -54,13 +54,14 @@ class RolloutCandidate:
 def engine_dsp(engine: Engine, spec: EnvSpec, pe_num: int, target: Target) -> int:
     """Return the DSPs of an engine.
 
-    Of a network it is one a product, and two for each element that is scaled at once; of a golden function
-    the multipliers of its cores. Those of draws are not counted.
+    Of a network it is one a product, and two for each element that is scaled at once, without those of drawn
+    actions; of a golden function the multipliers of its cores and draws.
     """
     if engine.kind == "table":
         return 0
     if engine.kind == "golden":
-        return pe_num * spec.agents * act_core(spec, engine, target).multipliers
+        each = DRAW_DSP * engine.draws + act_core(spec, engine, target).multipliers
+        return DRAW_DSP * (engine.draws > 0) + pe_num * spec.agents * each
     return pe_num * (engine.side * engine.products + 2 * min(engine.products, len(spec.observation)))
 
 
