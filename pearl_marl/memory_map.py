@@ -41,10 +41,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.spec import EnvSpec, check_slots, word_bits
+
+if TYPE_CHECKING:
+    from pearl_marl.policies.golden_policy import GoldenPolicy
 
 PROTOCOL_VERSION = 2
 MAGIC = 0x4C524150  # "PARL", little-endian
@@ -169,8 +172,7 @@ class Statistics(IntEnum):
     LENGTHS = 8
     RETURNS = 10
     ENGINE = 12
-    """From here on, the numbers of the :class:`Engine` in their order, a word for each; its kind is in the
-    control region."""
+    """From here on, :attr:`Engine.words`; its kind is in the control region."""
 
 
 STATISTICS_WORDS = 22
@@ -199,16 +201,16 @@ ENTRIES = 1024
 """Numbers in a table of activations or chances."""
 
 
-ENGINE_KINDS = ("none", "table", "network")
+ENGINE_KINDS = ("none", "table", "network", "golden")
 
 
 class Engine(NamedTuple):
     """The policy engine of a build: what is the largest policy that it takes, and how fast it is."""
 
     kind: str = "network"
-    """``"network"`` or ``"table"``."""
+    """``"network"``, ``"table"``, or ``"golden"``: a golden function, which is a part of the design."""
     drawn: bool = False
-    """Whether it is able to draw actions; if not, it takes the best."""
+    """Of a network or a table: whether it is able to draw actions; if not, it takes the best."""
     table_rows: int = 1
     """Of a table: how many observations it tells apart."""
     logit_bits: int = 32
@@ -225,16 +227,41 @@ class Engine(NamedTuple):
     weight_bits: int = 8
     value_bits: int = 12
     """Width of what weights are multiplied by, sign included: inputs, and outputs of layers."""
+    function: GoldenPolicy | int = 0
+    """The policy of a golden function; of an engine that hardware states, its number alone."""
+
+    @property
+    def number(self) -> int:
+        """The number of its golden function; 0 of an engine of another kind."""
+        return self.function if isinstance(self.function, int) else self.function.number
+
+    @property
+    def draws(self) -> int:
+        """How many random draws it takes for an agent's action; of a golden function its policy says so."""
+        return int(self.drawn) if isinstance(self.function, int) else self.function.draws
+
+    @property
+    def words(self) -> list[int]:
+        """What hardware states of it beside its kind: 32 bits each, all that is numbers in their order.
+
+        The first is ``drawn`` and, above this bit, the number of the golden function.
+        """
+        return [self.drawn | self.number << 1, *self[2:-1]]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return it as JSON has it, with the number of its golden function."""
+        return {**self._asdict(), "function": self.number}
 
     @classmethod
     def of_words(cls, kind: int, words: Sequence[int]) -> Engine:
         """Return the engine that hardware states: the number of its kind, and its words in the statistics."""
-        drawn, *sizes = words
-        if drawn > 1 or not all(1 <= size < 1 << 24 for size in sizes):
+        (first, *sizes), name = words, ENGINE_KINDS[kind]
+        drawn, number = first & 1, first >> 1
+        if (drawn if name == "golden" else number) or not all(1 <= size < 1 << 24 for size in sizes):
             raise DeviceError(
                 f"the hardware states an impossible policy engine: {', '.join(map(str, words))}"
             )
-        return cls(ENGINE_KINDS[kind], bool(drawn), *sizes)
+        return cls(name, bool(drawn), *sizes)._replace(function=number)
 
     def weight_words(self, spec: EnvSpec) -> int:
         """Return how many words of weights it has room for, each with those of ``products`` products."""
@@ -248,7 +275,7 @@ class Engine(NamedTuple):
         largest += [2 << spec.reward.bits] if spec.rewards else []
         if self.kind == "table":
             largest.append(self.table_rows << (actions - 1).bit_length())
-        else:
+        elif self.kind == "network":
             chunks = -(-len(spec.observation) // self.products)
             largest.append(2 * chunks << (self.products - 1).bit_length())
             columns = -(-self.products * self.weight_bits // 32)

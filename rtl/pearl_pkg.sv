@@ -65,7 +65,8 @@ package pearl_pkg;
   typedef enum int unsigned {
     NoEngine,
     TableEngine,
-    NetworkEngine
+    NetworkEngine,
+    GoldenEngine
   } engine_e;
 
   // The policy region has a number of 32 bits in every word, in sections of a power of two words each.

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT
-// The policy engine: observations of groups go in, rows of their actions come out, in the same order.
+// The policy engine for networks and tables: observations of groups go in, rows of their actions come out, in the
+// same order.
 //
-// Its user sees to it that no more than CREDITS groups are between having been observed and having been taken.
+// Its user sees to it that no more than CREDITS groups are under way.
 module pearl_policy
   import pearl_pkg::*;
   import pearl_core_pkg::*;
@@ -33,8 +34,7 @@ module pearl_policy
     input logic [PE_NUM-1:0][OBS_BITS-1:0] obs_i,
 
     output logic                               valid_o,
-    output logic [PE_NUM-1:0][ACTION_BITS-1:0] actions_o,
-    input  logic                               take_i
+    output logic [PE_NUM-1:0][ACTION_BITS-1:0] actions_o
 );
 
   localparam int unsigned ROWS = PE_NUM * AGENTS;
@@ -222,9 +222,7 @@ module pearl_policy
 
   // ---- Actions ----
 
-  logic chosen_valid;
   logic [ROWS-1:0][index_bits(ACTIONS)-1:0] chosen;
-  logic [PE_NUM-1:0][ACTION_BITS-1:0] packed_actions;
 
   pearl_choice #(
       .ROWS      (ROWS),
@@ -243,26 +241,13 @@ module pearl_policy
       .logits_i     (logits),
       .allowed_i    (allowed),
       .draws_i      (draws),
-      .valid_o      (chosen_valid),
+      .valid_o,
       .actions_o    (chosen)
   );
 
   for (genvar i = 0; i < ROWS; i++) begin : gen_action
     localparam int unsigned BITS = ACTION_BITS / AGENTS;
-    assign packed_actions[i/AGENTS][i%AGENTS*BITS+:BITS] = BITS'(chosen[i]);
+    assign actions_o[i/AGENTS][i%AGENTS*BITS+:BITS] = BITS'(chosen[i]);
   end
-
-  pearl_fifo #(
-      .WIDTH(PE_NUM * ACTION_BITS),
-      .DEPTH(PLACES)
-  ) u_actions (
-      .clk_i,
-      .rst_ni (rst_ni && !start_i),
-      .push_i (chosen_valid),
-      .data_i (packed_actions),
-      .valid_o(valid_o),
-      .data_o (actions_o),
-      .pop_i  (take_i)
-  );
 
 endmodule

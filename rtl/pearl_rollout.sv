@@ -71,9 +71,10 @@ module pearl_rollout
     output logic                                    counted_o
 );
 
-  // Groups that may be under way: two batches of a network; of a table as many as fill the way there and back.
-  localparam int unsigned TABLE_CREDITS = 1 << $clog2(DEPTH + 2 * ACTIONS + 48);
-  localparam int unsigned CREDITS = ENGINE == NetworkEngine ? 2 * SIDE * ROUNDS : TABLE_CREDITS;
+  // Groups that may be under way: two batches of a network; else as many as fill the way there and back.
+  localparam int unsigned WAY = ENGINE == GoldenEngine ? ACT_LATENCY : 2 * ACTIONS;
+  localparam int unsigned WAY_CREDITS = 1 << $clog2(DEPTH + WAY + 48);
+  localparam int unsigned CREDITS = ENGINE == NetworkEngine ? 2 * SIDE * ROUNDS : WAY_CREDITS;
   localparam int unsigned OBSERVE_II = ENGINE == NetworkEngine ? ceil_div(ELEMENTS, PRODUCTS) : 1;
 
   logic [31:0] steps_done;
@@ -133,28 +134,63 @@ module pearl_rollout
     end
   end
 
-  pearl_policy #(
-      .PE_NUM (PE_NUM),
-      .CREDITS(CREDITS)
-  ) u_policy (
+  logic chosen_valid;
+  logic [PE_NUM-1:0][ACTION_BITS-1:0] chosen;
+
+  if (ENGINE == GoldenEngine) begin : gen_golden
+    pearl_golden #(
+        .PE_NUM(PE_NUM)
+    ) u_golden (
+        .clk_i,
+        .rst_ni,
+        .start_i,
+        .first_slot_i,
+        .restart_i(keys_stale_i),
+        .next_i   (keys_next_i),
+        .seed_i,
+        .tick_i,
+        .keys_valid_o,
+        .valid_i  (valid_i && observe_i),
+        .obs_i    (seen),
+        .valid_o  (chosen_valid),
+        .actions_o(chosen)
+    );
+  end else begin : gen_policy
+    pearl_policy #(
+        .PE_NUM (PE_NUM),
+        .CREDITS(CREDITS)
+    ) u_policy (
+        .clk_i,
+        .rst_ni,
+        .we_i     (policy_we_i),
+        .index_i  (host_index_i),
+        .wdata_i  (host_wdata_i),
+        .start_i,
+        .first_slot_i,
+        .restart_i(keys_stale_i),
+        .next_i   (keys_next_i),
+        .seed_i,
+        .tick_i,
+        .keys_valid_o,
+        .valid_i  (valid_i && observe_i),
+        .last_i,
+        .obs_i    (seen),
+        .valid_o  (chosen_valid),
+        .actions_o(chosen)
+    );
+  end
+
+  pearl_fifo #(
+      .WIDTH(PE_NUM * ACTION_BITS),
+      .DEPTH(at_least(2, 1 << $clog2(CREDITS)))
+  ) u_actions (
       .clk_i,
-      .rst_ni,
-      .we_i     (policy_we_i),
-      .index_i  (host_index_i),
-      .wdata_i  (host_wdata_i),
-      .start_i,
-      .first_slot_i,
-      .restart_i(keys_stale_i),
-      .next_i   (keys_next_i),
-      .seed_i,
-      .tick_i,
-      .keys_valid_o,
-      .valid_i  (valid_i && observe_i),
-      .last_i,
-      .obs_i    (seen),
-      .valid_o  (actions_valid),
-      .actions_o,
-      .take_i   (take)
+      .rst_ni (rst_ni && !start_i),
+      .push_i (chosen_valid),
+      .data_i (chosen),
+      .valid_o(actions_valid),
+      .data_o (actions_o),
+      .pop_i  (take)
   );
 
   logic at_quanta;
@@ -213,7 +249,8 @@ module pearl_rollout
     PRODUCTS,
     LOGIT_BITS,
     TABLE_ROWS,
-    32'(DRAWN),
+    ACT_NUMBER,
+    DRAWN,
     returns,
     lengths,
     truncated,

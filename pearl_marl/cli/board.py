@@ -47,7 +47,7 @@ def command(
     with a script for Vivado.
     """
     board, spec = boards.find(board_name), common.spec_of(env_id, option)
-    build = boards.board_build(board, spec, n_envs, pe_num, common.engine_policy(policy))
+    build = boards.board_build(board, spec, n_envs, pe_num, common.device_policy(policy, spec))
     placed: Placed | None = None
     with claimed(out, "makes a bitstream"):
         files = boards.write(board, build, out)

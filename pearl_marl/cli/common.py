@@ -121,21 +121,37 @@ Options = Annotated[
 ]
 
 
-EnginePolicy = Annotated[
-    Path | None,
-    typer.Option(
+def device_policy_option(use: str) -> Any:
+    """Return the option that names a policy which :func:`device_policy` reads, and what for."""
+    return typer.Option(
         "--policy",
-        metavar="FILE",
-        help="A policy of `pearl quantize`: the hardware gets a policy engine that is large enough for it.",
-    ),
+        metavar="FILE|FILE.py:NAME",
+        help=f"{use} A file of `pearl quantize`, or the name of a GoldenPolicy in a file.",
+    )
+
+
+EnginePolicy = Annotated[
+    str | None, device_policy_option("The policy that the hardware gets a policy engine for.")
 ]
 
 
-def engine_policy(path: Path | None) -> DevicePolicy | None:
-    """Read the policy that the hardware's engine is to be for, if one is named."""
-    from pearl_marl.policies.integer_file import load_policy
+def device_policy(name: str | None, spec: EnvSpec) -> DevicePolicy | None:
+    """Return the policy of that name, which runs beside an environment; ``None`` if none is named."""
+    from pearl_marl.policies import integer_file, loading
+    from pearl_marl.policies.device_policy import DevicePolicy
 
-    return None if path is None else load_policy(path)
+    if name is None:
+        return None
+    module, colon, member = name.rpartition(":")
+    if not (module and colon and member.isidentifier()):
+        return integer_file.load_policy(name)
+    policy = loading.load_policy(name, spec)
+    if not isinstance(policy, DevicePolicy):
+        raise ArgumentError(
+            f"--policy {name} is a function of arrays, which cannot run beside the environments; make it a "
+            "golden function: GoldenPolicy(spec, act)"
+        )
+    return policy
 
 
 def env_options(pairs: Iterable[str] | None, option: str = "--option") -> dict[str, Any]:

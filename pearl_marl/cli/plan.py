@@ -22,7 +22,7 @@ from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.latency import LINKS, Link, loop_cycles
 from pearl_marl.latency.planning import Plan, plan
 from pearl_marl.latency.rollout_planning import plan_rollouts
-from pearl_marl.policies.integer_file import load_policy
+from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.spec import EnvSpec
 
 Slots = Annotated[int, typer.Option("--n-envs", min=1, help="Number of slots (worlds) of the design.")]
@@ -50,13 +50,9 @@ OnePeNum = Annotated[
     int | None, typer.Option("--pe-num", help="Consider only this number of processing elements.")
 ]
 OneDataWl = Annotated[int | None, typer.Option("--data-wl", help="Consider only words of this many bits.")]
-PolicyFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--policy",
-        metavar="FILE",
-        help="Plan for rollouts of this policy of `pearl quantize`, which move nothing over the link.",
-    ),
+PolicyName = Annotated[
+    str | None,
+    common.device_policy_option("Plan for rollouts of this policy, which move nothing over the link."),
 ]
 
 
@@ -68,7 +64,7 @@ def command(
     clock: Clock = BOARDS["vc707"].clock_mhz,
     pe_num: OnePeNum = None,
     data_wl: OneDataWl = None,
-    policy: PolicyFile = None,
+    policy: PolicyName = None,
     option: common.Options = None,
     out: common.Out = None,
     as_json: common.AsJson = False,
@@ -83,8 +79,9 @@ def command(
     """
     spec = common.spec_of(env_id, option)
     checked_choice("--part", part, (*PARTS, ANY))
-    if policy is not None:
-        _for_rollouts(spec, policy, n_envs, part, clock, pe_num, data_wl, out, as_json)
+    acting = common.device_policy(policy, spec)
+    if acting is not None:
+        _for_rollouts(spec, str(policy), acting, n_envs, part, clock, pe_num, data_wl, out, as_json)
         return
     taken = _link(link)
     file = f"plan_{spec.name}_{n_envs}.json"
@@ -128,7 +125,8 @@ def command(
 
 def _for_rollouts(
     spec: EnvSpec,
-    file: Path,
+    policy_name: str,
+    policy: DevicePolicy,
     n_envs: int,
     part: str,
     clock: float,
@@ -138,9 +136,8 @@ def _for_rollouts(
     as_json: bool,
 ) -> None:
     """Plan for rollouts of a policy."""
-    policy = load_policy(file)
     if (policy.spec.id, policy.spec.options) != (spec.id, spec.options):
-        raise ArgumentError(f"{file} is for {policy.spec.id}, and the plan for {spec.id}")
+        raise ArgumentError(f"{policy_name} is for {policy.spec.id}, and the plan for {spec.id}")
     name = f"plan_rollouts_{spec.name}_{n_envs}.json"
     common.check_results(out, name)
     found = plan_rollouts(policy, n_envs, clock * 1e6, PARTS.get(part), pe_num, data_wl)
@@ -148,7 +145,7 @@ def _for_rollouts(
     result = {
         "environment": spec.id,
         "options": dict(spec.options),
-        "policy": str(file),
+        "policy": policy_name,
         "n_envs": n_envs,
         "clock_mhz": clock,
         "part": part,
@@ -163,7 +160,7 @@ def _for_rollouts(
     grid.add_column("limit", no_wrap=True)
     for candidate in sorted(found, key=lambda one: one.layout.pe_num):
         engine, chosen = candidate.layout.engine, candidate is best
-        side = "-" if engine is None or engine.kind == "table" else f"{engine.side:,}"
+        side = "-" if engine is None or engine.kind != "network" else f"{engine.side:,}"
         figures = (candidate.layout.pe_num, candidate.cycles, candidate.core_dsp, candidate.engine_dsp)
         pes, cycles, cores, multipliers = (f"{figure:,}" for figure in figures)
         limit = f"{candidate.limit}{' (chosen)' if chosen else ''}"

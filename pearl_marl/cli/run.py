@@ -23,7 +23,7 @@ from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation.episodes import EpisodeStatistics
 from pearl_marl.evaluation.machine import machine
 from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
-from pearl_marl.policies.integer_file import load_policy
+from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.rendering import VIDEO_STEPS, VIDEO_WORLDS, HeatMap, Video
 from pearl_marl.spec import MAX_CYCLES, EnvSpec
 
@@ -44,13 +44,9 @@ VideoFile = Annotated[
         help=f"Write a film of the first {VIDEO_WORLDS} worlds in the first {VIDEO_STEPS} steps.",
     ),
 ]
-PolicyFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--policy",
-        metavar="FILE",
-        help="A policy of `pearl quantize`, which acts in a rollout, instead of random actions.",
-    ),
+PolicyName = Annotated[
+    str | None,
+    common.device_policy_option("A policy that acts in a rollout, instead of random actions."),
 ]
 MaxCycles = Annotated[
     int | None,
@@ -66,7 +62,7 @@ def command(
     seed: common.Seed = 0,
     max_cycles: MaxCycles = None,
     actions: ActionFile = None,
-    policy: PolicyFile = None,
+    policy: PolicyName = None,
     video: VideoFile = None,
     option: common.Options = None,
     out: common.Out = None,
@@ -75,12 +71,13 @@ def command(
     """Step every agent with random (or given) actions, or a policy's: throughput and episode statistics."""
     spec = common.spec_of(env_id, option)
     n_agents = common.agents_of(spec, n_agents)
-    if policy is not None:
+    acting = common.device_policy(policy, spec)
+    if acting is not None:
         if actions is not None or video is not None:
             raise ArgumentError("--policy acts in a rollout, in one call: leave out --actions and --video")
         common.check_results(out, "run.json")
         env = parallel_env(env_id, n_agents, device=device, max_cycles=max_cycles, **spec.options)
-        result = _rolled_out(env, policy, steps, seed, device)
+        result = _rolled_out(env, acting, str(policy), steps, seed, device)
         if not common.delivered(result, as_json, out, "run.json"):
             console.print(_table(result))
         return
@@ -153,15 +150,17 @@ def command(
         common.say(f"Wrote {path}")
 
 
-def _rolled_out(env: PearlParallelEnv, policy: Path, steps: int, seed: int, device: str) -> dict[str, Any]:
+def _rolled_out(
+    env: PearlParallelEnv, policy: DevicePolicy, name: str, steps: int, seed: int, device: str
+) -> dict[str, Any]:
     """Return the figures of a rollout."""
     with contextlib.closing(env):
-        acting, n = load_policy(policy), env.batch_size
+        n = env.batch_size
         env.reset_batch(seed)
-        env.rollout(acting, 1)  # loads the loop, or compiles it
+        env.rollout(policy, 1)  # loads the loop, or compiles it
         env.reset_batch(seed)
         began = time.perf_counter()
-        result = env.rollout(acting, steps)
+        result = env.rollout(policy, steps)
         seconds = time.perf_counter() - began
     spread = None
     if result.mean_return is not None and not np.isnan(result.squares).any():
@@ -172,7 +171,7 @@ def _rolled_out(env: PearlParallelEnv, policy: Path, steps: int, seed: int, devi
         "options": dict(env.spec.options),
         "device": device,
         "simulated": common.simulated(device),
-        "policy": str(policy),
+        "policy": name,
         "n_agents": n,
         "steps": steps,
         "seed": seed,

@@ -21,7 +21,7 @@ from pearl_marl.cli.common import (
     agents_of,
     console,
     counted,
-    engine_policy,
+    device_policy,
     print_json,
     spec_of,
     writable,
@@ -65,7 +65,7 @@ def command(
     spec = spec_of(env_id, option)
     config = BatchConfig(spec=spec, n_envs=worlds_of(spec, agents_of(spec, n_agents)))
     check_memory(config)
-    build = with_engine(Build.of(spec, config.n_envs, pe_num, data_wl), engine_policy(policy))
+    build = with_engine(Build.of(spec, config.n_envs, pe_num, data_wl), device_policy(policy, spec))
     board = ServedBoard(at, spec, config.n_envs, pe_num, data_wl, path, build.layout.engine)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: board.stop())

@@ -105,7 +105,7 @@ def command(
     chosen = default_map(spec, sizes[0], pe_num, data_wl)
     name = f"synth_{spec.name}_{part}_{chosen.pe_num}_{chosen.data_wl}.json"
     common.check_results(out, name)
-    taken = common.engine_policy(policy)
+    taken = common.device_policy(policy, spec)
     builds = [with_engine(Build.of(spec, n, chosen.pe_num, chosen.data_wl), taken) for n in sizes]
     _check_fit(fit, part, confirmed)
     work = [(build, part, False) for build in builds]

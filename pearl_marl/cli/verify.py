@@ -102,12 +102,9 @@ Mode = Annotated[
     typer.Option("--autoreset-mode", help="When a world that ended starts again.", show_default="both"),
 ]
 RolledOut = Annotated[
-    Path | None,
-    typer.Option(
-        "--policy",
-        metavar="FILE",
-        help="Do rollouts of a policy of `pearl quantize`, not steps with random actions; the device `rtl` "
-        "gets an engine for it.",
+    str | None,
+    common.device_policy_option(
+        "Do rollouts of this policy, not steps with random actions; the device `rtl` gets an engine for it."
     ),
 ]
 InitialStates = Annotated[
@@ -175,7 +172,7 @@ def command(
     device, reference = device or "native", reference or "reference"
     if policy is not None and out is not None:
         raise ArgumentError("--out is for a file that is replayed, which rollouts have none of: leave it out")
-    acting = common.engine_policy(policy)
+    acting = common.device_policy(policy, spec)
     if device == reference:
         raise ArgumentError(
             f"--device and --reference are both {device!r}, which always agrees with itself: name another one"

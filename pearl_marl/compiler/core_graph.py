@@ -1,4 +1,4 @@
-"""The graph of an environment's core: what a slot does in a step, from the core's inputs to its outputs."""
+"""The graphs of cores, from inputs to outputs: of what a slot does in a step, and of a policy."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from pearl_marl.compiler.gating import held
+from pearl_marl.golden import GoldenFunction
 from pearl_marl.golden.tracing.graph import Graph
 from pearl_marl.golden.tracing.nodes import Node
 from pearl_marl.golden.tracing.trace import trace
@@ -73,6 +74,44 @@ def core_graph(spec: EnvSpec) -> CoreGraph:
     )
     outputs += _packed("terminated_o", ends, unseen[spec.agents :])
     return CoreGraph(graph, outputs)
+
+
+def act_graph(spec: EnvSpec, act: GoldenFunction, draws: int) -> CoreGraph:
+    """Return the graph of a policy's core: from what an agent is shown, and draws, to its action.
+
+    ``act`` is a function of words (:meth:`EnvSpec.act_of_words`). Inputs are named as the core's ports have
+    them: ``obs_i.angle``, ``rng_i[0]``. In the place of an action that masks forbid is the first that they
+    allow, or 0 where they allow none.
+
+    Raises
+    ------
+    ArgumentError
+        The function does what no hardware can; the message names the file and the line.
+    """
+    graph = Graph()
+    shown = [graph.input(f"obs_i.{f.name}", f.bits, f.signed, *f.range) for f in spec.agent_fields]
+    observed, masks = shown[: len(spec.observation)], shown[len(spec.observation) :]
+    words = trace(graph, act, [*observed, *(graph.input(f"rng_i[{k}]", 32) for k in range(draws))])
+    words = _narrowed(graph, words, spec.action_fields)
+    if masks:
+        flags = graph.constant(0)
+        for k, mask in enumerate(masks):
+            flags = graph.or_(flags, graph.left(mask, k))
+        allowed = graph.wrap(graph.right_by(flags, words[0]), 1, signed=False)
+        words = _narrowed(
+            graph, [graph.choose(allowed, words[0], _first(graph, masks)[1])], spec.action_fields
+        )
+    return CoreGraph(graph, _packed("action_o", spec.action_fields, words))
+
+
+def _first(graph: Graph, flags: Sequence[Node]) -> tuple[Node, Node]:
+    """Return whether a flag is set, and the number of the first that is, or 0."""
+    if len(flags) == 1:
+        return flags[0], graph.constant(0)
+    middle = 1 << (len(flags) - 1).bit_length() - 1
+    (low, number), (high, above) = _first(graph, flags[:middle]), _first(graph, flags[middle:])
+    above = graph.choose(high, graph.add(above, graph.constant(middle)), graph.constant(0))
+    return graph.or_(low, high), graph.choose(low, number, above)
 
 
 def action_ports(spec: EnvSpec) -> list[str]:

@@ -1,4 +1,4 @@
-"""The core of an environment, generated for a target."""
+"""The core of an environment or of a policy, generated for a target."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-from pearl_marl.compiler.core_graph import Output, core_graph
+from pearl_marl.compiler.core_graph import Output, act_graph, core_graph
 from pearl_marl.compiler.drawing import drawing
 from pearl_marl.compiler.lowering import lowered
-from pearl_marl.compiler.scheduling import scheduled
+from pearl_marl.compiler.scheduling import Schedule, scheduled
 from pearl_marl.compiler.targets import Target
-from pearl_marl.compiler.verilog import system_verilog
+from pearl_marl.compiler.verilog import act_system_verilog, system_verilog
+from pearl_marl.golden import GoldenFunction
 from pearl_marl.golden.tracing.nodes import in_order
 from pearl_marl.spec import EnvSpec, snake_case
 
@@ -50,12 +51,33 @@ def generated_core(spec: EnvSpec, target: Target, name: str | None = None) -> Co
     """
     outputs = _operations(spec, target)
     schedule = scheduled(outputs, target)
+    text = system_verilog(spec, name or core_name(spec), outputs, schedule, _about(spec, target))
+    return _core(text, spec.name, outputs, schedule)
+
+
+ACT = "pearl_act"
+"""The module of a policy's core, and with ``_pkg`` its package: a build has one at most."""
+
+
+def generated_act(spec: EnvSpec, act: GoldenFunction, draws: int, target: Target) -> Core:
+    """Return the core of a policy, of what :func:`pearl_marl.compiler.core_graph.act_graph` takes."""
+    outputs = lowered(*act_graph(spec, act, draws), target)
+    schedule = scheduled(outputs, target)
+    text = act_system_verilog(spec, draws, ACT, outputs, schedule, _about(spec, target))
+    return _core(text, f"A policy for {spec.name}", outputs, schedule)
+
+
+def _about(spec: EnvSpec, target: Target) -> list[str]:
     options = ", ".join(f"{option}={value!r}" for option, value in spec.options.items())
     options = " ".join(options.encode("ascii", "backslashreplace").decode().split())  # it is a line's remark
-    about = [f"{spec.id}({options}), for {target.name} at {target.mhz:g} MHz."]
+    return [f"{spec.id}({options}), for {target.name} at {target.mhz:g} MHz."]
+
+
+def _core(text: str, title: str, outputs: list[Output], schedule: Schedule) -> Core:
+    target = schedule.target
     return Core(
-        text=system_verilog(spec, name or core_name(spec), outputs, schedule, about),
-        picture=partial(drawing, f"{spec.name}, {target.name} at {target.mhz:g} MHz", outputs, schedule),
+        text=text,
+        picture=partial(drawing, f"{title}, {target.name} at {target.mhz:g} MHz", outputs, schedule),
         latency=schedule.latency,
         register_bits=schedule.register_bits,
         multipliers=sum(node.op == "mul" for node in schedule.order),

@@ -49,9 +49,10 @@ TAKEN = frozenset(
     """
     clk_i rst_ni valid_i first_i hold_i state_i action_i rng_i valid_o state_o obs_o reward_o terminated_o
     valid_q state_t action_t unused LATENCY II STATE_BITS ACTION_BITS OBS_BITS REWARD_BITS
+    obs_i action_o view_t
     """.split()  # noqa: SIM905
 )
-"""Names that every core has."""
+"""Names that every core has, of an environment or of a policy."""
 
 UNNAMED = {
     "sum": "sum", "mul": "product", "choose": "chosen", "and": "both", "or": "either", "xor": "differs",

@@ -93,7 +93,7 @@ def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
     problem = _Problem(
         arguments, gaps, sorted(ends), bits, latency, window, before, behind, target.family.shift_register
     )
-    stage = _fewest_registers(problem)
+    stage = _fewest_registers(problem) if order else []  # a policy may always return the same
     last = list(stage)
     for j, below in enumerate(arguments):
         for i in below:

@@ -67,7 +67,7 @@ def stated_map(read: Read, spec: EnvSpec, n_envs: int) -> MemoryMap:
 
 def _engine_words(read: Read, layout: MemoryMap) -> list[int]:
     """Return what hardware says of its policy engine; it stands behind the status."""
-    return _words(read, layout.end("status") + 4 * Statistics.ENGINE, len(Engine._fields) - 1)
+    return _words(read, layout.end("status") + 4 * Statistics.ENGINE, len(Engine().words))
 
 
 def _words(read: Read, address: int, count: int) -> list[int]:
@@ -91,7 +91,7 @@ def check_identity(name: str, read: Read, build: Build) -> None:
                 + _what_differs(field, theirs, spec, layout)
             )
     engine = layout.engine
-    if version != stated or (engine is not None and _engine_words(read, layout) != [*map(int, engine[1:])]):
+    if version != stated or (engine is not None and _engine_words(read, layout) != engine.words):
         raise DeviceError(
             f"the {name} device has another policy engine than this batch has been opened for: load the same "
             "bitstream, or make a new environment"

@@ -206,7 +206,7 @@ def facts(board: Board, build: Build) -> dict[str, Any]:
         "n_envs": layout.n_envs,
         "pe_num": layout.pe_num,
         "data_wl": layout.data_wl,
-        "engine": None if layout.engine is None else layout.engine._asdict(),
+        "engine": None if layout.engine is None else layout.engine.as_json(),
         "env_hash": elaboration.env_hash(spec),
     }
 

@@ -5,23 +5,27 @@ Simulation, synthesis and lint all elaborate the same design from the same two l
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import operator
 import re
 import zlib
 from importlib import resources
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from pearl_marl.base.cache import cache_folder
 from pearl_marl.base.files import write_whole
-from pearl_marl.compiler.cores import core_name, generated_core
+from pearl_marl.compiler.cores import ACT, Core, core_name, generated_act, generated_core
 from pearl_marl.compiler.loading import fingerprint
 from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import Engine, MemoryMap, stream_bits
 from pearl_marl.spec import EnvSpec, snake_case, word_bits
+
+if TYPE_CHECKING:
+    from pearl_marl.policies.golden_policy import GoldenPolicy
 
 TARGET = Target("xc7", 150.0)
 """What cores are generated for where there is no FPGA, as in simulation."""
@@ -96,11 +100,39 @@ _generated: dict[str, str] = {}
 """Their texts, by all that they depend on."""
 
 
+def act_core(spec: EnvSpec, engine: Engine, target: Target = TARGET) -> Core:
+    """Return the core of an engine for a golden function.
+
+    Raises
+    ------
+    ArgumentError
+        The engine does not have its policy, or that is for another environment; or it does what no hardware
+        can.
+    """
+    policy = engine.function
+    if isinstance(policy, int):
+        raise ArgumentError(
+            f"an engine for a golden function is built of its policy, and this one has the number {policy}: "
+            "give Engine('golden', function=GoldenPolicy(...))"
+        )
+    if (policy.spec.id, policy.spec.behaviour) != (spec.id, spec.behaviour):
+        raise ArgumentError(
+            f"the engine's policy is for {policy.spec.id} with options {dict(policy.spec.options)}, and the "
+            f"build for {spec.id} with {dict(spec.options)}: make the policy with the spec of the build"
+        )
+    return _act_core(policy, target)
+
+
+@functools.lru_cache(maxsize=64)
+def _act_core(policy: GoldenPolicy, target: Target) -> Core:
+    return generated_act(policy.spec, policy.of_words, policy.draws, target)
+
+
 WRAPPER = "pearl_core.sv"
 """The file that ties a core to the backbone: :func:`core_wrapper`."""
 
 
-def core_wrapper(spec: EnvSpec, engine: Engine | None = None) -> str:
+def core_wrapper(spec: EnvSpec, engine: Engine | None = None, target: Target = TARGET) -> str:
     """Return the module and packages under which the backbone knows an environment's core, and its engine.
 
     The core keeps its own name, so one bitstream may hold any environment.
@@ -124,13 +156,14 @@ def core_wrapper(spec: EnvSpec, engine: Engine | None = None) -> str:
         reward_bits=bits["rewards"],
         draws=spec.reset_draws + spec.step_draws,
         env_hash=f"32'h{env_hash(spec):08X}",
-        **_engine_constants(spec, engine),
+        **_engine_constants(spec, engine, target),
     )
 
 
-def _engine_constants(spec: EnvSpec, engine: Engine | None) -> dict[str, object]:
+def _engine_constants(spec: EnvSpec, engine: Engine | None, target: Target) -> dict[str, object]:
     """Return the constants of the engine's package; of no engine, the least that are legal."""
     shape, fields = engine or Engine(), spec.observation
+    golden = shape.kind == "golden"
     offsets = [word_bits(fields[:k]) for k in range(len(fields))]
     return {
         "engine": "NoEngine" if engine is None else f"{engine.kind.title()}Engine",
@@ -156,6 +189,9 @@ def _engine_constants(spec: EnvSpec, engine: Engine | None) -> dict[str, object]
         "weight_bits": shape.weight_bits,
         "value_bits": shape.value_bits,
         "weight_words": shape.weight_words(spec),
+        "act_draws": shape.draws if golden else 0,
+        "act_latency": act_core(spec, shape, target).latency if golden else 1,
+        "act_number": f"31'h{shape.number:08X}",
         "policy_index_bits": shape.index_bits(spec),
     }
 
@@ -170,7 +206,10 @@ def backbone_paths() -> list[Path]:
 def sources(spec: EnvSpec, target: Target = TARGET, engine: Engine | None = None) -> list[Path]:
     """Return every file of a design, in the order in which they have to be read."""
     package, *rest = backbone_paths()
-    return [package, core_path(spec, target), _kept(core_wrapper(spec, engine), WRAPPER), *rest]
+    cores = [core_path(spec, target)]
+    if engine is not None and engine.kind == "golden":
+        cores.append(_kept(act_core(spec, engine, target).text, f"{ACT}.sv"))
+    return [package, *cores, _kept(core_wrapper(spec, engine, target), WRAPPER), *rest]
 
 
 def core_parameters(spec: EnvSpec) -> dict[str, str]:

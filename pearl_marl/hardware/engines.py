@@ -12,6 +12,7 @@ from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.policy_words import policy_words
 from pearl_marl.memory_map import Engine, MemoryMap, memory_map
 from pearl_marl.policies.device_policy import DevicePolicy
+from pearl_marl.policies.golden_policy import GoldenPolicy
 from pearl_marl.policies.integer_network import IntegerNetwork, Rows, Scaling
 
 PRODUCTS = 8
@@ -51,6 +52,8 @@ def with_engine(build: Build, policy: DevicePolicy | None) -> Build:
 
 def _engine(policy: DevicePolicy, layout: MemoryMap) -> Engine:
     engine = Engine()
+    if isinstance(policy, GoldenPolicy):
+        engine = Engine("golden", function=policy)
     if isinstance(policy, IntegerNetwork):
         drawn = policy.draws > 0
         if isinstance(policy.inputs, Rows):

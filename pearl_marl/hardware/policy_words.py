@@ -12,6 +12,7 @@ import numpy.typing as npt
 from pearl_marl.errors import ArgumentError
 from pearl_marl.memory_map import Engine, Section
 from pearl_marl.policies.device_policy import DevicePolicy
+from pearl_marl.policies.golden_policy import GoldenPolicy
 from pearl_marl.policies.integer_network import Dense, IntegerNetwork, Levels, Rows, Scaling
 from pearl_marl.spec import EnvSpec
 
@@ -45,10 +46,13 @@ def policy_words(policy: DevicePolicy, engine: Engine) -> dict[Section, Words]:
     ArgumentError
         The policy is none that an engine takes, or larger than this one.
     """
+    if engine.kind == "golden":
+        _check_function(policy, engine)
+        return {}  # which is a part of the design
     spec = policy.spec
     check_engine(spec)
     if not isinstance(policy, IntegerNetwork):
-        raise _refusal(f"takes networks and tables of integers, and this is a {type(policy).__name__}")
+        raise _refusal(f"takes {engine.kind}s of integers, and this policy is {_named(policy)}")
     head, inputs = policy.head, policy.inputs
     assert not isinstance(head, Levels)  # there are none for a single action of so many
     if len(head.weights) and not engine.drawn:
@@ -63,6 +67,14 @@ def policy_words(policy: DevicePolicy, engine: Engine) -> dict[Section, Words]:
     if len(head.weights):
         words[Section.CHANCES] = _unsigned(head.weights)
     return words
+
+
+def _check_function(policy: DevicePolicy, engine: Engine) -> None:
+    """Refuse another policy than the golden function that an engine is built of."""
+    if not isinstance(policy, GoldenPolicy):
+        raise _refusal(f"computes a golden function, and this policy is {_named(policy)}")
+    if policy.number != engine.number:
+        raise _refusal(f"computes the golden function {engine.number:#x}, and this is {policy.number:#x}")
 
 
 def _table(policy: IntegerNetwork, inputs: Rows, engine: Engine) -> dict[Section, Words]:
@@ -192,6 +204,10 @@ def _fit(numbers: npt.NDArray[np.integer], bits: int, what: str) -> None:
 
 def _unsigned(numbers: npt.ArrayLike) -> Words:
     return (np.asarray(numbers, np.int64) & 0xFFFFFFFF).astype(np.uint32)
+
+
+def _named(policy: DevicePolicy) -> str:
+    return "a golden function" if isinstance(policy, GoldenPolicy) else f"a {type(policy).__name__}"
 
 
 def _refusal(what: str) -> ArgumentError:

@@ -5,14 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.build import Build
-from pearl_marl.hardware.elaboration import clocked
+from pearl_marl.hardware.elaboration import act_core, clocked
 from pearl_marl.hardware.engines import with_engine
-from pearl_marl.hardware.fitting import Part, modelled_bram36, modelled_dsp
+from pearl_marl.hardware.fitting import DRAW_DSP, Part, modelled_bram36, modelled_dsp
 from pearl_marl.latency.planning import MAX_PE_NUM, NEAR
 from pearl_marl.latency.rollouts import rollout_step_cycles
 from pearl_marl.memory_map import Engine, MemoryMap, memory_map
+from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.integer_network import IntegerNetwork
 from pearl_marl.spec import EnvSpec
 
@@ -40,7 +42,7 @@ class RolloutCandidate:
         return {
             "pe_num": self.layout.pe_num,
             "data_wl": self.layout.data_wl,
-            "engine": engine._asdict(),
+            "engine": engine.as_json(),
             "cycles": self.cycles,
             "policy_steps_per_second": self.rate,
             "core_dsp": self.core_dsp,
@@ -49,18 +51,22 @@ class RolloutCandidate:
         }
 
 
-def engine_dsp(engine: Engine, spec: EnvSpec, pe_num: int) -> int:
-    """Return the DSPs of an engine: one a product, and two for each element that is scaled at once.
+def engine_dsp(engine: Engine, spec: EnvSpec, pe_num: int, target: Target) -> int:
+    """Return the DSPs of an engine.
 
-    Those of drawn actions are not counted.
+    Of a network it is one a product, and two for each element that is scaled at once, without those of drawn
+    actions; of a golden function the multipliers of its cores and draws.
     """
     if engine.kind == "table":
         return 0
+    if engine.kind == "golden":
+        each = DRAW_DSP * engine.draws + act_core(spec, engine, target).multipliers
+        return DRAW_DSP * (engine.draws > 0) + pe_num * spec.agents * each
     return pe_num * (engine.side * engine.products + 2 * min(engine.products, len(spec.observation)))
 
 
 def plan_rollouts(
-    policy: IntegerNetwork,
+    policy: DevicePolicy,
     n_envs: int,
     clock: float,
     part: Part | None = None,
@@ -80,7 +86,8 @@ def plan_rollouts(
     spec = policy.spec
     target = clocked("xc7", clock / 1e6)
     dsp = modelled_dsp(spec, target)
-    sizes = [len(spec.observation), *(len(layer.bias) for layer in policy.layers)]
+    layers = policy.layers if isinstance(policy, IntegerNetwork) else ()
+    sizes = [len(spec.observation), *(len(layer.bias) for layer in layers)]
     counts = [1 << k for k in range(MAX_PE_NUM.bit_length()) if 1 << k <= n_envs]
 
     def cycles(layout: MemoryMap, engine: Engine) -> int:
@@ -94,13 +101,12 @@ def plan_rollouts(
         assert engine is not None
         left = None if part is None else part.dsp - dsp.of(count)
         if engine.kind == "network":
-            side = (
-                MOST_SIDE
-                if left is None
-                else (left - engine_dsp(engine._replace(side=0), spec, count)) // (engine.products * count)
-            )
+            side = MOST_SIDE
+            if left is not None:
+                none = engine_dsp(engine._replace(side=0), spec, count, target)
+                side = (left - none) // (engine.products * count)
             engine = engine._replace(side=max(1, min(side, -(-plain.layout.groups // engine.rounds))))
-        taken = engine_dsp(engine, spec, count)
+        taken = engine_dsp(engine, spec, count, target)
         if left is not None and (taken > left or modelled_bram36(plain.layout) > part.bram36):  # type: ignore[union-attr]
             continue
         took = cycles(plain.layout, engine)

@@ -34,12 +34,12 @@ def batch_cycles(engine: Engine, sizes: Sequence[int]) -> int:
 
 
 def rollout_step_cycles(
-    spec: EnvSpec, layout: MemoryMap, sizes: Sequence[int], target: Target = elaboration.TARGET
+    spec: EnvSpec, layout: MemoryMap, sizes: Sequence[int] = (), target: Target = elaboration.TARGET
 ) -> int:
     """Return the clock cycles by which a rollout is longer if it has one step more.
 
     It is what ``Rtl.cycles`` counts of a pipelined device. ``sizes`` are the widths of the network, as
-    :func:`batch_cycles` takes them; of a table they do not matter. Each step takes the groups past the cores
+    :func:`batch_cycles` takes them; other engines have none. Each step takes the groups past the cores
     twice, and begins when the last of the step before is in the sums.
     Where a batch is computed sooner than the next one comes in, it may be a few per cent too low.
     """
@@ -49,22 +49,29 @@ def rollout_step_cycles(
     # From a group's issue to its results.
     depth = (_DRAW_LATENCY if draws else _READ_LATENCY + 2) + timing.latency
     engine, interval, groups = layout.engine, timing.interval, layout.groups
-    if engine.kind == "table":
-        issued = _table_issues(spec, engine, depth, interval, groups)
-    else:
+    if engine.kind == "network":
         issued = _network_issues(spec, engine, depth, interval, groups, sizes)
+    else:
+        issued = _issues(depth + _to_actions(spec, engine, target) + 1, interval, groups)
     counted = depth + _READ_LATENCY + 3 + _levels(layout.pe_num * spec.agents)
-    keys = max(draws, spec.agents * engine.drawn)
+    keys = max(draws, spec.agents * engine.draws)
     return issued + counted + (_DRAW_LATENCY * (1 + keys) + _KEYS if keys else _BETWEEN)
 
 
-def _table_issues(spec: EnvSpec, engine: Engine, depth: int, interval: int, groups: int) -> int:
+def _to_actions(spec: EnvSpec, engine: Engine, target: Target) -> int:
+    """Return the cycles that a table or a golden function takes from what a group is shown to its actions."""
+    if engine.kind == "golden":
+        return _DRAW_LATENCY * (engine.draws > 0) + elaboration.act_core(spec, engine, target).latency
+    lookup = 1 + _levels(len(spec.observation) + 1) + _READ_LATENCY
+    return lookup + _choice(spec, engine)
+
+
+def _issues(way: int, interval: int, groups: int) -> int:
     """Return the cycles from a step's first issue to its last one.
 
-    Groups are observed until the first one's actions come, and then stepped until there are no more actions.
+    Groups are observed until the first one's actions come, ``way`` cycles after its issue, and then stepped
+    until there are no more actions.
     """
-    lookup = 1 + _levels(len(spec.observation) + 1) + _READ_LATENCY
-    way = depth + lookup + _choice(spec, engine) + 1
     together = -(-way // interval)
     full, rest = divmod(groups - 1, together)
     rest += 1

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import zlib
 from functools import cached_property, partial
 from typing import Any
 
@@ -22,6 +23,7 @@ from pearl_marl.compiler.loading import load
 from pearl_marl.compiler.straight_line import golden_function
 from pearl_marl.golden import MOST_DRAWS, GoldenFunction, call_reference
 from pearl_marl.golden.tracing.checks import Argument, Result, check
+from pearl_marl.golden.tracing.records import RULES, record
 from pearl_marl.policies.device_policy import (
     ACT_ARGUMENTS,
     ActionChoice,
@@ -43,6 +45,11 @@ class GoldenPolicy(DevicePolicy):
         class, or without one a word or a tuple of words, it returns an action; a tuple, where actions have
         several fields.
 
+    Attributes
+    ----------
+    of_words
+        ``act`` as a function of the words of an observation and of draws.
+
     Raises
     ------
     ArgumentError
@@ -61,14 +68,14 @@ class GoldenPolicy(DevicePolicy):
     def __init__(self, spec: EnvSpec, act: GoldenFunction) -> None:
         check_spec(spec)
         self.spec = spec
-        self._of_words = spec.act_of_words(act)
+        self.of_words = spec.act_of_words(act)
         inputs = tuple(Argument(f.name, f.bits, f.signed, *f.range) for f in self._inputs(MOST_DRAWS))
         ends = [(0, n - 1) for n in spec.action_counts] or [field.range for field in spec.action_fields]
         due = tuple(
             Result(field.name, *pair, "the action space has", "return an action of it")
             for field, pair in zip(spec.action_fields, ends, strict=True)
         )
-        check(self._of_words, inputs, due)
+        check(self.of_words, inputs, due)
         self.draws = spec.draws_of(act)
 
     def _inputs(self, draws: int) -> list[Field]:
@@ -80,12 +87,22 @@ class GoldenPolicy(DevicePolicy):
 
     def choose(self, elements: Array, agents: Array, masks: Array | None, draws: Array) -> ActionChoice:
         """See :class:`DevicePolicy`."""
-        columns = call_reference(self._of_words, [*elements.reshape(len(elements), -1).T, *draws.T])
+        columns = call_reference(self.of_words, [*elements.reshape(len(elements), -1).T, *draws.T])
         words = np.stack([np.broadcast_to(column, len(elements)) for column in columns], 1).astype(np.int64)
         if masks is not None:
             forbidden = masks[np.arange(len(words)), words[:, 0]] == 0
             words[forbidden, 0] = masks[forbidden].argmax(1)
         return ActionChoice(words, None)
+
+    @cached_property
+    def number(self) -> int:
+        """What names the function to hardware, 31 bits: a hash of what it does to the words that it is given.
+
+        It is the same in every process, whatever variables are called, as that of an environment is
+        (:attr:`pearl_marl.spec.EnvSpec.behaviour`).
+        """
+        inputs = [(f.bits, f.signed, *f.range) for f in self._inputs(self.draws)]
+        return zlib.crc32(f"{RULES}:{record(self.of_words, inputs)}".encode()) & 0x7FFFFFFF
 
     @cached_property
     def source(self) -> str:
@@ -96,7 +113,7 @@ class GoldenPolicy(DevicePolicy):
         given = ", ".join([*columns, *(f"draws[s, {k}]" for k in range(self.draws))])
         chosen = ", ".join(f"action_{k}" for k in range(len(spec.action_fields)))
         lines = [
-            *golden_function("act", self._of_words, inputs, spec.action_fields),
+            *golden_function("act", self.of_words, inputs, spec.action_fields),
             "",
             "",
             "def act_all(at, elements, masks, draws, words, logits):",

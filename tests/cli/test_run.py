@@ -207,6 +207,25 @@ def test_figures_of_simulated_hardware_are_labelled(device: str, simulated: bool
     assert title.endswith("simulated: times are the simulator's") == simulated
 
 
+def test_a_policy_by_its_name(pearl: Pearl, tmp_path: Path) -> None:
+    """One that is a golden function; of a function of arrays nothing is made."""
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "from pearl_marl import get_spec\n"
+        "from pearl_marl.policies.golden_policy import GoldenPolicy\n"
+        "def act(place, draws):\n"
+        "    return 1\n"
+        "right = GoldenPolicy(get_spec('CliffWalking'), act)\n"
+    )
+    given = "--n-agents", 3, "--steps", 9, "--max-cycles", 3, "--json"
+    status, out, err = pearl("run", "CliffWalking", "--policy", f"{path}:right", *given)
+    assert status == 0, err
+    assert json.loads(out)["return_mean"] == -300
+    status, _, err = pearl("run", "CliffWalking", "--policy", f"{path}:act", *given)
+    assert status == 2
+    assert "act is a function of arrays, which cannot run beside the environments" in " ".join(err.split())
+
+
 def test_a_policy_in_integers(pearl: Pearl, tmp_path: Path) -> None:
     spec = get_spec("CliffWalking")
     up, right = [1, 0, 0, 0], [0, 1, 0, 0]

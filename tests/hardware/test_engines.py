@@ -10,7 +10,10 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.engines import with_engine
 from pearl_marl.hardware.policy_words import policy_words
+from pearl_marl.memory_map import Engine
+from pearl_marl.policies.golden_policy import GoldenPolicy
 
+from ..policies.test_golden_policy import balance
 from ..rtl.random_policies import random_network, random_table
 
 
@@ -26,6 +29,8 @@ def test_an_engine_takes_the_policy_that_it_is_for() -> None:
         assert engine is not None
         assert (engine.kind, engine.drawn) == (kind, policy.draws > 0)
         assert policy_words(policy, engine)
+    rule = GoldenPolicy(cart, balance)
+    assert with_engine(Build.of(cart, 40, 4), rule).layout.engine == Engine("golden", function=rule)
     plain = Build.of(cart, 40, 4)
     assert with_engine(plain, None) is plain
     with pytest.raises(ArgumentError, match="the policy is for CliffWalking"):

@@ -16,9 +16,11 @@ from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.latency.rollout_planning import plan_rollouts
 from pearl_marl.latency.rollouts import rollout_step_cycles
 from pearl_marl.policies import integer_file
+from pearl_marl.policies.golden_policy import GoldenPolicy
 from pearl_marl.policies.integer_network import IntegerNetwork, table_network
 
 from ..policies.networks import random_network
+from ..policies.test_golden_policy import balance
 
 Pearl = Callable[..., tuple[int, str, str]]
 
@@ -47,6 +49,14 @@ def test_the_engine_gets_the_multipliers_that_cores_leave() -> None:
 def test_a_table_takes_none_and_cores_limit_it() -> None:
     best, *_ = plan_rollouts(RIGHT, 43_008, 125e6, PARTS["vc707"])
     assert (best.limit, best.engine_dsp, best.layout.pe_num) == ("cores", 0, 256)
+
+
+def test_a_golden_function_takes_the_multipliers_of_its_cores_and_draws() -> None:
+    rule = GoldenPolicy(get_spec("CartPole"), balance)
+    found = plan_rollouts(rule, 43_008, 125e6, PARTS["vc707"], pe_num=4)
+    assert [candidate.engine_dsp for candidate in found] == [6 * (1 + 4 * rule.draws)]
+    layout = found[0].layout
+    assert found[0].cycles == rollout_step_cycles(rule.spec, layout, target=clocked("xc7", 125))
 
 
 def test_what_does_not_fit_is_refused() -> None:

@@ -18,7 +18,9 @@ from pearl_marl.hardware import elaboration, policy_words, toolchain
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import Engine
 from pearl_marl.policies import device_policy
+from pearl_marl.policies.golden_policy import GoldenPolicy
 from pearl_marl.spec import EnvSpec, word_bits
+from tests.policies.test_golden_policy import balance, bet, catch, drive, up
 
 SIZES = [(1000, 16, 64), (7, 4, 32), (1, 1, 32)]
 # Of large cores so many elements take Verilator long, and show nothing of them that a few do not.
@@ -93,6 +95,28 @@ TABLE = Engine("table", table_rows=48, logit_bits=8)
 def test_lint_is_clean_with_an_engine(env: str, engine: Engine) -> None:
     spec = spec_of(env, {})
     lint(whole(Build.of(spec, 7, 4, 32, engine)))
+
+
+@pytest.mark.parametrize(
+    ("env", "act"),
+    [
+        ("CartPole", balance),
+        # One that sees nothing; masks, several agents, and a real; words behind planes.
+        *(
+            pytest.param(env, act, marks=pytest.mark.exhaustive)
+            for env, act in (
+                ("CliffWalking", lambda place, draws: 1),
+                ("Game2048", up),
+                ("KuhnPoker", bet),
+                ("MountainCarContinuous", drive),
+                ("Catch", catch),
+            )
+        ),
+    ],
+)
+def test_lint_is_clean_with_a_golden_function(env: str, act: Any) -> None:
+    spec = spec_of(env, {})
+    lint(whole(Build.of(spec, 7, 4, 32, Engine("golden", function=GoldenPolicy(spec, act)))))
 
 
 @pytest.mark.parametrize("env", ["CliffWalking", "ShiftAdd"])
