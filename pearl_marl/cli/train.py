@@ -80,6 +80,10 @@ Seeds = Annotated[
         show_default="one",
     ),
 ]
+Films = Annotated[
+    bool,
+    typer.Option("--films", help="Film the policy at each evaluation: a GIF each, in the folder `films`."),
+]
 Quantize = Annotated[
     bool,
     typer.Option(
@@ -111,6 +115,7 @@ def command(
     evaluate_every: Every = None,
     shards: Shards = None,
     seeds: Seeds = None,
+    films: Films = False,
     quantize: Quantize = False,
     option: common.Options = None,
     out: Folder = None,
@@ -161,15 +166,15 @@ def command(
         error_console.print(f"pearl: {warning.message}", markup=False, soft_wrap=True)
     plan = training.Training(env_id, algo, settings, dict(spec.options), device, goal, evaluate_every)
     if seeds is not None:
-        if shards is not None or quantize:
+        if shards is not None or films or quantize:
             raise ArgumentError(
-                "--seeds trains in this process, for the spread: leave --shards and --quantize out"
+                "--seeds trains in this process, for the spread: leave --shards, --films and --quantize out"
             )
         population = Population(plan, out, seeds)
         _train(population, f"{env_id}, {algo}, {seeds} seeds", settings.iterations)
         _tell_spread(population, env_id, algo, as_json)
         return
-    run = training.TrainingRun(plan, out, shards)
+    run = training.TrainingRun(plan, out, shards, films=films)
     if quantize:
         integers.check(run.trainer.policy)
     _train(run, f"{env_id}, {algo}", settings.iterations)

@@ -20,8 +20,10 @@ from pearl_marl.errors import ArgumentError, PearlError, SavedStateError, brief,
 from pearl_marl.evaluation.matches import Match
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies.loading import random_policy
+from pearl_marl.rendering import Video
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training import dqn, ppo, pqn, q_learning, self_play, teams
+from pearl_marl.training.films import film
 from pearl_marl.training.presets import PRESETS
 from pearl_marl.training.run_folder import POLICY, RunFolder
 from pearl_marl.training.trainer import threads_for
@@ -173,11 +175,13 @@ class TrainingRun:
         Agents whose first episodes are an evaluation; by default as many as the algorithm suggests.
     checkpoint_seconds
         The least time between two checkpoints, which large replay memories take a while to write.
+    films
+        Whether each evaluation is filmed: see :func:`~pearl_marl.training.films.film`.
 
     Raises
     ------
     ArgumentError
-        The algorithm does not suit the environment.
+        The algorithm does not suit the environment, or that has no drawing to film.
     """
 
     def __init__(
@@ -187,6 +191,7 @@ class TrainingRun:
         shards: int | None = None,
         evaluated: int | None = None,
         checkpoint_seconds: float = 20.0,
+        films: bool = False,
     ) -> None:
         settings, self.goal, self.checkpoint_seconds = training.settings, training.goal, checkpoint_seconds
         self.trainer = training.trainer(shards)
@@ -207,6 +212,9 @@ class TrainingRun:
         }
         kind = SETTINGS[self.algorithm]
         self.folder = RunFolder(folder, about, kind.successors(), kind.defaults())
+        self.films = films
+        if films:  # what cannot be filmed is refused at once
+            Video(spec, folder / "film.gif").close()
         self._began = self._kept = time.perf_counter()
 
     @property
@@ -268,6 +276,8 @@ class TrainingRun:
         trainer, spec = self.trainer, self.spec
         with threads_for(spec, trainer.settings):
             mean, deviation = evaluate(trainer.policy, spec, self.evaluated)
+            if self.films:
+                film(trainer.policy, spec, self.folder.path / "films" / f"{trainer.done:06}.gif")
         row = {"seconds": time.perf_counter() - self._began, **trainer.figures()}
         row |= {"eval_return": mean, "eval_deviation": deviation}
         if spec.agents > 1 and not spec.turns:

@@ -359,7 +359,7 @@ def test_an_id_is_a_name(pearl: Pearl) -> None:
         ("run Cl", ["CliffWalking"]),
         ("run C", ["CartPole", "Catch", "CliffWalking", "CoinGame", "ConnectFour"]),
         ("run Taxi --device r", ["rtl", "reference"]),
-        ("train Taxi --algo q", ["q-learning"]),
+        ("train Taxi --algo q-", ["q-learning"]),
         ("tr", ["train"]),
     ],
 )
