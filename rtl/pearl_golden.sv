@@ -35,8 +35,9 @@ module pearl_golden
   // Words of draws of an agent and of a slot, at least 1 since a port cannot have none.
   localparam int unsigned WORDS = at_least(1, ACT_DRAWS);
   localparam int unsigned SLOT_WORDS = at_least(1, AGENTS * ACT_DRAWS);
-  // Observations wait for their draws.
-  localparam int unsigned WAITS = ACT_DRAWS == 0 ? 0 : DRAW_LATENCY;
+  // Observations wait for their draws, or else for a cycle, so that what comes from a core goes into another one
+  // through a register.
+  localparam int unsigned WAITS = ACT_DRAWS == 0 ? 1 : DRAW_LATENCY;
 
   // ---- Random numbers, of agents in their order ----
 
@@ -64,18 +65,12 @@ module pearl_golden
       .draws_o(draws)
   );
 
-  logic valid;
+  logic [WAITS:1] valid_q;
   logic [PE_NUM-1:0][OBS_BITS-1:0] obs;
 
-  if (WAITS == 0) begin : gen_at_once
-    assign valid = valid_i;
-  end else begin : gen_later
-    logic [WAITS:1] valid_q;
-    always_ff @(posedge clk_i) begin
-      if (!rst_ni) valid_q <= '0;
-      else valid_q <= {valid_q[WAITS-1:1], valid_i};
-    end
-    assign valid = valid_q[WAITS];
+  always_ff @(posedge clk_i) begin
+    if (!rst_ni) valid_q <= '0;
+    else valid_q <= WAITS'({valid_q, valid_i});
   end
 
   pearl_delay #(
@@ -102,7 +97,7 @@ module pearl_golden
     pearl_act u_act (
         .clk_i,
         .rst_ni,
-        .valid_i (valid),
+        .valid_i (valid_q[WAITS]),
         .obs_i   (obs[i/AGENTS][i%AGENTS*AGENT_OBS_BITS+:AGENT_OBS_BITS]),
         .rng_i   (own),
         .valid_o (valids[i]),

@@ -61,7 +61,8 @@ def rollout_step_cycles(
 def _to_actions(spec: EnvSpec, engine: Engine, target: Target) -> int:
     """Return the cycles that a table or a golden function takes from what a group is shown to its actions."""
     if engine.kind == "golden":
-        return _DRAW_LATENCY * (engine.draws > 0) + elaboration.act_core(spec, engine, target).latency
+        waits = _DRAW_LATENCY if engine.draws else 1
+        return waits + elaboration.act_core(spec, engine, target).latency
     lookup = 1 + _levels(len(spec.observation) + 1) + _READ_LATENCY
     return lookup + _choice(spec, engine)
 

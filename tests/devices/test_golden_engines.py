@@ -27,6 +27,7 @@ from ..toy_fields import RELAY
 from ..toy_world import MEADOW, NIM
 from .boards import OwnBoard
 
+SPEC = get_spec("CliffWalking")
 NEXT = AutoresetMode.NEXT_STEP
 
 
@@ -78,13 +79,8 @@ CASES = [
             (MEADOW, graze, {"n_envs": 7}, 2),
             (NIM, take, {"n_envs": 60, "max_cycles": 9}, 8),
             (RELAY, relay, {"n_envs": 9, "max_cycles": 11}, 4),
-            (get_spec("CliffWalking"), walk, {"n_envs": 1, "max_cycles": 20}, 1),
-            (
-                get_spec("CliffWalking"),
-                walk,
-                {"n_envs": 300, "max_cycles": 20, "initial_states": "stored"},
-                4,
-            ),
+            (SPEC, walk, {"n_envs": 1, "max_cycles": 20}, 1),
+            (SPEC, walk, {"n_envs": 300, "max_cycles": 20, "initial_states": "stored"}, 4),
             (get_spec("CartPole"), balance, {"n_envs": 300, "max_cycles": 30}, 4),
             (get_spec("CartPole"), balance, {"n_envs": 1, "max_cycles": 9, "autoreset_mode": NEXT}, 1),
             (get_spec("Pendulum"), brake, {"n_envs": 9, "max_cycles": 7}, 2),
@@ -118,9 +114,6 @@ def test_a_rollout_is_that_of_the_cpu(spec: EnvSpec, act: Any, settings: dict[st
     assert_same(hardware, native, policy, 5)
     hardware.close()
     native.close()
-
-
-SPEC = get_spec("CliffWalking")
 
 
 def right(place: Any, draws: Draws) -> Any:

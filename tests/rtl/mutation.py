@@ -2,7 +2,8 @@
 
 Yosys makes the faults, small ones at random places of the netlist: a bit inverted, stuck, or made to depend
 on another. All stand in one design, each asleep until its number is put to an input, so one build serves a
-whole campaign. What the host does is a script, with answers from the golden functions.
+whole campaign. What the host does is a script, with answers from the golden functions. With ``--rollouts``
+the design has a policy engine, the faults lie in what a rollout takes, and the host makes rollouts.
 """
 
 from __future__ import annotations
@@ -18,12 +19,19 @@ from pathlib import Path
 from typing import NamedTuple
 
 from harness import BUS, HERE
-from scenarios import BUILD, host_script
+from scenarios import BUILD, POLICIES, host_script, rollout_script, with_policy
 
+from pearl_marl.compiler.cores import ACT
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
 
 FLIP_FLOP = "$_DFF_P_"
+
+ROLLOUTS = (
+    *("rollout", "repeater", "rollout_reader", "statistics", "policy", "golden"),
+    *("scaling", "network", "lane", "lookup", "choice", "sum"),
+)
+"""The modules that only a build with a policy engine has."""
 
 
 class Mutant(NamedTuple):
@@ -34,9 +42,12 @@ class Mutant(NamedTuple):
 
 
 def choose(build: Build, folder: Path, count: int, seed: int) -> list[Mutant]:
-    """Read the backbone into ``folder``, and choose so many faults in it, none of them in the core."""
+    """Read the backbone into ``folder``, and choose so many faults in it.
+
+    None of them is in a core; of a build with a policy engine, all that lie in :data:`ROLLOUTS` are left.
+    """
     names = []
-    for path in elaboration.sources(build.spec):
+    for path in elaboration.sources(build.spec, engine=build.layout.engine):
         if path.name not in BUS:
             (folder / path.name).write_text(path.read_text())
             names.append(path.name)
@@ -57,11 +68,13 @@ def choose(build: Build, folder: Path, count: int, seed: int) -> list[Mutant]:
         "write_rtlil sound.il",
         f"mutate -list {count} -seed {seed} -o mutants.txt",
     )
-    core = elaboration.core_path(build.spec).name
+    cores = elaboration.core_path(build.spec).name, f"{ACT}.sv"
+    own = tuple(f"pearl_{name}.sv" for name in ROLLOUTS)
     mutants = []
     for line in (folder / "mutants.txt").read_text().splitlines():
         lines = re.findall(r"-src (\S+?:\d+)", line)
-        if not any(where.startswith(core) for where in lines):
+        wanted = build.layout.engine is None or any(where.startswith(own) for where in lines)
+        if wanted and not any(where.startswith(cores) for where in lines):
             mutants.append(Mutant(re.sub(r" -(src|wire|wirebit) \S+", "", line), " ".join(lines)))
     return mutants
 
@@ -193,12 +206,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--mutants", type=int, default=800, help="how many faults")
     parser.add_argument("--seed", type=int, default=1, help="which ones")
+    parser.add_argument("--rollouts", choices=POLICIES, help="of which policy the host makes rollouts")
     parser.add_argument("--out", type=Path, required=True, help="the folder for report.txt and all files")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    mutants = choose(BUILD, given.out, given.mutants, given.seed)
+    build = with_policy(given.rollouts) if given.rollouts else BUILD
+    script = rollout_script(given.rollouts) if given.rollouts else host_script(BUILD)
+    mutants = choose(build, given.out, given.mutants, given.seed)
     program = compile_mutants(mutants, given.out)
-    by = caught(program, host_script(BUILD), len(mutants), os.cpu_count() or 1)
+    by = caught(program, script, len(mutants), os.cpu_count() or 1)
     unnoticed = [mutant for mutant, part in zip(mutants, by, strict=True) if part is None]
     text = report(mutants, by, without_effect(unnoticed, given.out))
     (given.out / "report.txt").write_text(text)

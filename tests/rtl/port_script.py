@@ -54,10 +54,11 @@ class Script:
     def interrupt(self, value: bool) -> None:
         self.lines.append(f"q {value:x}")
 
-    def finish(self) -> None:
+    def finish(self, within: int = 1024) -> None:
+        """Wait for the interrupt, for so many cycles at most."""
         self.wait(6)  # until the doorbell is through the port
         self.interrupt(False)
-        self.lines.append("i 400")
+        self.lines.append(f"i {within:x}")
 
     def reset(self, soft: bool) -> None:
         """Reset, for a cycle or by writing to the control region, and wait until the pipeline has drained."""

@@ -5,17 +5,33 @@ The environment is made for this: a wrong bit anywhere shows in a result.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete
-from port_script import ALL, HOLE, REFUSED, Script, kept
+from gymnasium.vector import AutoresetMode
+from port_script import ALL, HOLE, REFUSED, Script, kept, settings
+from random_policies import random_network
 
+from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.golden import Draws, Word
 from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.engines import with_engine
+from pearl_marl.hardware.policy_words import policy_words
 from pearl_marl.layout import Bits, Flag
-from pearl_marl.memory_map import MAGIC, PROTOCOL_VERSION, Control, Mode, Status, StatusError
+from pearl_marl.memory_map import (
+    MAGIC,
+    PROTOCOL_VERSION,
+    SECTION_BITS,
+    Control,
+    Mode,
+    Statistics,
+    Status,
+    StatusError,
+)
+from pearl_marl.policies.golden_policy import GoldenPolicy
 from pearl_marl.spec import EnvSpec, Field, Golden, word_bits
 
 
@@ -60,6 +76,25 @@ SPEC = EnvSpec(
 # No row divides into words here, rewards and observations are more than one, and the last group is not full.
 BUILD = Build.of(SPEC, 37, 5, 32)
 
+
+def act(view: View, draws: Draws) -> Word:
+    """A policy of the same kind."""
+    first, second = folded(draws.bits()), folded(draws.bits())
+    return (first + second + view.word + (view.word >> 5) + view.odd) & 7
+
+
+POLICIES = {
+    "golden": GoldenPolicy(SPEC, act),
+    "network": random_network(np.random.default_rng(3), SPEC, [6], drawn=True),
+}
+"""Of these, rollouts are made: see :func:`rollout_script`."""
+
+
+def with_policy(name: str) -> Build:
+    """Return the build with an engine for one of them."""
+    return with_engine(BUILD, POLICIES[name])
+
+
 MEMORIES = ("initial_states", "current_states", "elapsed", "reset_mask", "actions")
 RESULTS = ("observations", "rewards", "ters")
 
@@ -77,6 +112,77 @@ def host_script(build: Build) -> str:
     parts_of_the_reset(script)
     resets(script)
     return "\n".join(script.lines) + "\n"
+
+
+def rollout_script(name: str) -> str:
+    """Return rollouts of one of the policies, whose sums are to be those of the CPU."""
+    build, policy = with_policy(name), POLICIES[name]
+    script, engine = Script(build), build.layout.engine
+    assert engine is not None
+    region = build.layout["policy"]
+    script.part("policy")
+    script.wait(40)
+    for i, word in enumerate(engine.words):
+        script.read(script.first("statistics") + Statistics.ENGINE + i, word)
+    for section, words in policy_words(policy, engine).items():
+        first = script.first("policy") + section * (region.words >> SECTION_BITS)
+        for i, word in enumerate(words):
+            script.write(first + i, int(word))
+    for mode in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP):
+        for limit in (1, 3, 11):
+            script.part(f"{mode.name.lower()}_{limit}")
+            rollouts(script, name, mode, limit)
+    script.part("reset")
+    for delay in (5, 30, 90, 200):
+        ring_rollout(script, Mode.RESET_ALL, ALL)
+        script.wait(delay)
+        script.reset(soft=True)
+    rollouts(script, name, AutoresetMode.SAME_STEP, 3)
+    return "\n".join(script.lines) + "\n"
+
+
+def rollouts(script: Script, name: str, mode: AutoresetMode, limit: int) -> None:
+    """Make rollouts of several lengths, one after the other, and compare what they add up and leave."""
+    native, n = Native(), script.layout.n_envs
+    first = int(script.random.integers(0, (1 << 32) - n))
+    native.open(BatchConfig(spec=SPEC, n_envs=n, max_cycles=limit, first_slot=first, autoreset_mode=mode))
+    native.reset(seed=int(script.random.integers(1 << 32)))
+    native.restore(replace(native.snapshot(), tick=ALL - 2))  # the lower half is about to carry
+    native.reset()
+    base = Mode.NEXT_STEP if mode is AutoresetMode.NEXT_STEP else Mode(0)
+    model, at = script.model, script.first("statistics")
+    model.seed, model.tick, model.first_slot, model.max_cycles = native.seed, native.tick, first, limit
+    script.load()
+    for k, steps in enumerate((1, 7, 20)):
+        ring_rollout(script, base | (Mode(0) if k else Mode.RESET_ALL), steps)
+        script.finish(within=1024 * steps)
+        script.status(Status.SEQUENCE, script.sequence)
+        found = native.rollout(POLICIES[name], steps)
+        sums = {
+            Statistics.STEPS: steps,
+            Statistics.EPISODES: found.episodes,
+            Statistics.TRUNCATED: int(found.truncated.sum()),
+            Statistics.LENGTHS: int(found.lengths.sum()),
+            Statistics.RETURNS: int(found.returns.sum()),
+        }
+        for word, value in sums.items():
+            script.read(at + word, value & ALL)
+            script.read(at + word + 1, value >> 32)
+        model.tick = native.tick
+        for word, value in settings(model).items():
+            script.read(script.first("control") + word, value)
+        for word in (at + Statistics.CYCLES, script.first("status") + Status.CYCLES):
+            script.read_the_same(word)
+        for region in ("current_states", "elapsed"):
+            for i in range(script.layout[region].words):
+                script.read_the_same(script.first(region) + i)
+
+
+def ring_rollout(script: Script, mode: Mode, steps: int) -> None:
+    script.control(Control.STEPS, steps)
+    script.write(script.first("doorbell"), mode | Mode.ROLLOUT)
+    script.sequence ^= 1 << int(script.random.integers(32))
+    script.write(script.first("doorbell") + 1, script.sequence)
 
 
 def identity(script: Script) -> None:
