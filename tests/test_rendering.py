@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from contextlib import closing
 from dataclasses import replace
@@ -40,14 +41,14 @@ def without(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize(("name", "mode"), DRAWN)
 def test_pictures_without_their_library(name: str, mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    for library in ("pygame", "minatar", "minigrid", "matplotlib", "PIL"):
+    for library in ("pygame", "minatar", "minigrid", "mpe2", "matplotlib", "PIL"):
         without(library, monkeypatch)
     # Which have imported them perhaps.
-    oracles = "minatar_oracle", "mini_grid_oracle"
-    holding = *(f"pearl_marl.envs.{name}" for name in oracles), "pettingzoo.classic."
-    for module in [module for module in sys.modules if module.startswith(holding)]:
+    holding = re.compile(r"pearl_marl\.envs\.\w+_oracle$|pettingzoo\.classic\.")
+    for module in filter(holding.match, list(sys.modules)):
         monkeypatch.delitem(sys.modules, module)
-    with closing(pearl_marl.parallel_env(name, n_agents=2, render_mode=mode)) as env:
+    n = 2 * pearl_marl.get_spec(name).agents
+    with closing(pearl_marl.parallel_env(name, n, render_mode=mode)) as env:
         draw = env.render if mode == "rgb_array" else env.reset
         if mode == "rgb_array":
             env.reset(seed=0)
@@ -55,7 +56,7 @@ def test_pictures_without_their_library(name: str, mode: str, monkeypatch: pytes
             draw()
         assert "\n" not in str(caught.value)
         assert name in str(caught.value)
-        env.device.step(np.zeros((2, *env.spec.action_space.shape), env.spec.action_space.dtype))
+        env.device.step(np.zeros((n, *env.spec.action_space.shape), env.spec.action_space.dtype))
 
 
 def test_a_drawing_in_letters_needs_none(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -93,7 +94,7 @@ def drawn_by(draw: Any) -> EnvSpec:
 
 @pytest.mark.parametrize("name", pearl_marl.list_envs())
 def test_pictures_are_bytes(name: str) -> None:
-    for library in ("pygame", "minatar", "minigrid", "seaborn", "PIL"):
+    for library in ("pygame", "minatar", "minigrid", "mpe2", "seaborn", "PIL"):
         pytest.importorskip(library)
     with closing(pearl_marl.parallel_env(name, render_mode="rgb_array")) as env:
         env.reset(seed=0)

@@ -283,8 +283,8 @@ def test_every_contender_has_its_name() -> None:
     assert {KERNEL, BATCH, *figure6.PEERS, figure6.SIMULATED} <= known
 
 
-def test_builds_of_figure_9_are_those_of_all() -> None:
-    assert set(report.load("figure9").BUILDS) == set(names())  # type: ignore[attr-defined]
+def test_builds_of_figure_9_are_of_environments() -> None:
+    assert set(report.load("figure9").BUILDS) <= set(names())  # type: ignore[attr-defined]
 
 
 def test_figure_9_draws_all_environments() -> None:

@@ -1,0 +1,1 @@
+"""SimpleSpread: agents cover landmarks, and keep out of each other's way."""

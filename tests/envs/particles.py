@@ -1,0 +1,86 @@
+"""MPE's games beside ours: one step each, from states of random play or from crowds."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pearl_marl import EnvSpec
+from pearl_marl.envs import particles_oracle
+from pearl_marl.porting.oracle import Move, Outcome, Rules, one_by_one
+
+from .fixed import values, words
+
+Array = npt.NDArray[Any]
+NEAR = 0.05
+
+
+def oracle(spec: EnvSpec, game: Any) -> Rules:
+    """Return MPE's step from states of ours, whose discs are held at the ends of the fields of ours."""
+    limits = {field.name: (field.low, field.high) for field in spec.state}
+
+    def step(state: Any, actions: list[Any], draws: list[int]) -> Outcome:
+        particles_oracle.pose(game, state)
+        game.current_actions = list(actions)
+        game._execute_world_step()
+        after, agents = {}, game.world.agents
+        for k, agent in enumerate(agents):
+            for v, vector in (("", agent.state.p_pos), ("v", agent.state.p_vel)):
+                for place, axis in enumerate("xy"):
+                    name = f"agents_{k}_{v}{axis}"
+                    after[name] = vector[place] = np.clip(vector[place], *limits[name])
+        return Outcome(
+            observations=[game.scenario.observation(agent, game.world) for agent in agents],
+            rewards=[game.rewards[name] for name in game.possible_agents],
+            terminated=[False] * len(agents),
+            state=after,
+            undecided=any(abs(gap) < 1e-6 for gap in gaps(game)),
+        )
+
+    return one_by_one(spec, step)
+
+
+def gaps(game: Any) -> list[float]:
+    """Return how far agents are from touching each other, for each two of them."""
+    pairs = itertools.combinations(game.world.agents, 2)
+    return [math.dist(a.state.p_pos, b.state.p_pos) - a.size - b.size for a, b in pairs]
+
+
+def crowded(spec: EnvSpec, n: int, side: float) -> list[Array]:
+    """Return states of discs at any place of a square in the middle, so that many of them touch."""
+    generator, fast = np.random.default_rng(4), 1.5
+    ends = [fast if field.name[-2] == "v" else side / 2 for field in spec.state]
+    return [words(generator, field, -end, end, n) for field, end in zip(spec.state, ends, strict=True)]
+
+
+def least_distances(spec: EnvSpec, state: Sequence[Array], colliding: Sequence[str]) -> Array:
+    """Return how near to each other the nearest two discs are in each state."""
+    named = {field.name: values(word, field) for field, word in zip(spec.state, state, strict=True)}
+    places = [
+        (named[f"{name}_x"], named[f"{name}_y"])
+        for name in (key.removesuffix("_x") for key in named if key.endswith("_x"))
+        if name.startswith(tuple(colliding))
+    ]
+    return np.min([np.hypot(a[0] - b[0], a[1] - b[1]) for a, b in itertools.combinations(places, 2)], 0)
+
+
+def errors_of(spec: EnvSpec, move: Move, colliding: Sequence[str] = ("agents",)) -> dict[str, float]:
+    """Return the greatest errors of places, speeds and rewards in units of the last place.
+
+    Those of speeds, and of rewards for places, are over ``1 + (NEAR / distance)**2``, by the distance of the
+    nearest two discs: near each other, their places do not tell well in which direction they are pushed.
+    """
+    relative = 1 + (NEAR / least_distances(spec, move.before, colliding)) ** 2
+    worst: dict[str, float] = defaultdict(float)
+    for name, error in move.errors.items():
+        kind = name if name in ("reward", "observation") else name.rpartition("_")[2].rstrip("xy") or "place"
+        size = error.reshape(len(relative), -1).max(1) / 2.0 ** -spec.state[0].fraction
+        by = 1.0 if kind in ("place", "reward") else relative
+        worst[kind] = max(worst[kind], float((size / by).max()))
+    return worst
