@@ -14,6 +14,7 @@ from gymnasium.vector import AutoresetMode
 from port_script import ALL, HOLE, REFUSED, Script, kept, settings
 from random_policies import random_network
 
+from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.golden import Draws, Word
 from pearl_marl.hardware import elaboration
@@ -132,6 +133,8 @@ def rollout_script(name: str) -> str:
         for limit in (1, 3, 11):
             script.part(f"{mode.name.lower()}_{limit}")
             rollouts(script, name, mode, limit)
+    script.part("long")
+    long_episodes(script, name)
     script.part("reset")
     for delay in (5, 30, 90, 200):
         ring_rollout(script, Mode.RESET_ALL, ALL)
@@ -149,38 +152,62 @@ def rollouts(script: Script, name: str, mode: AutoresetMode, limit: int) -> None
     native.reset(seed=int(script.random.integers(1 << 32)))
     native.restore(replace(native.snapshot(), tick=ALL - 2))  # the lower half is about to carry
     native.reset()
-    base = Mode.NEXT_STEP if mode is AutoresetMode.NEXT_STEP else Mode(0)
-    model, at = script.model, script.first("statistics")
-    model.seed, model.tick, model.first_slot, model.max_cycles = native.seed, native.tick, first, limit
-    script.load()
     for k, steps in enumerate((1, 7, 20)):
-        ring_rollout(script, base | (Mode(0) if k else Mode.RESET_ALL), steps)
-        script.finish(within=1024 * steps)
-        script.status(Status.SEQUENCE, script.sequence)
-        found = native.rollout(POLICIES[name], steps)
-        sums = {
-            Statistics.STEPS: steps,
-            Statistics.EPISODES: found.episodes,
-            Statistics.TRUNCATED: int(found.truncated.sum()),
-            Statistics.LENGTHS: int(found.lengths.sum()),
-            Statistics.RETURNS: int(found.returns.sum()),
-        }
-        for word, value in sums.items():
-            script.read(at + word, value & ALL)
-            script.read(at + word + 1, value >> 32)
-        model.tick = native.tick
-        for word, value in settings(model).items():
-            script.read(script.first("control") + word, value)
-        for word in (at + Statistics.CYCLES, script.first("status") + Status.CYCLES):
-            script.read_the_same(word)
-        for region in ("current_states", "elapsed"):
-            for i in range(script.layout[region].words):
-                script.read_the_same(script.first(region) + i)
+        compare_rollout(script, native, name, Mode(0) if k else Mode.RESET_ALL, steps)
+
+
+def long_episodes(script: Script, name: str) -> None:
+    """Make a rollout from elapsed steps of every size: only episodes that begin in it count."""
+    native, n, model = Native(), script.layout.n_envs, script.model
+    native.open(BatchConfig(spec=SPEC, n_envs=n, max_cycles=ALL))
+    native.reset(seed=5)
+    saved = native.snapshot()
+    slots = SlotMemory(SPEC, n, saved.memory)
+    slots.elapsed[:] = [1 << k % 32 for k in range(n)]
+    native.restore(saved)
+    model.states, model.elapsed, model.ters = slots.state, slots.elapsed, np.zeros(n, np.uint8)
+    load_states(script)
+    compare_rollout(script, native, name, Mode(0), 30)
+
+
+def compare_rollout(script: Script, native: Native, name: str, mode: Mode, steps: int) -> None:
+    """Make a rollout, and compare what it adds up and leaves with the CPU's."""
+    model, at, config = script.model, script.first("statistics"), native.config
+    model.seed, model.tick = native.seed, native.tick
+    model.first_slot, model.max_cycles = config.first_slot, config.limit
+    script.load()
+    if config.autoreset_mode is AutoresetMode.NEXT_STEP:
+        mode |= Mode.NEXT_STEP
+    ring_rollout(script, mode, steps)
+    script.finish(within=1024 * steps)
+    script.status(Status.SEQUENCE, script.sequence)
+    found = native.rollout(POLICIES[name], steps)
+    sums = {
+        Statistics.STEPS: steps,
+        Statistics.EPISODES: found.episodes,
+        Statistics.TRUNCATED: int(found.truncated.sum()),
+        Statistics.LENGTHS: int(found.lengths.sum()),
+        Statistics.RETURNS: int(found.returns.sum()),
+    }
+    for word, value in sums.items():
+        script.read(at + word, value & ALL)
+        script.read(at + word + 1, value >> 32)
+    model.tick = native.tick
+    for word, value in settings(model).items():
+        script.read(script.first("control") + word, value)
+    for word in (at + Statistics.CYCLES, script.first("status") + Status.CYCLES):
+        script.read_the_same(word)
+    for region in ("current_states", "elapsed"):
+        for i in range(script.layout[region].words):
+            script.read_the_same(script.first(region) + i)
 
 
 def ring_rollout(script: Script, mode: Mode, steps: int) -> None:
+    """Ring for a rollout; the mask of resets and the bits that mean nothing do nothing in one."""
     script.control(Control.STEPS, steps)
-    script.write(script.first("doorbell"), mode | Mode.ROLLOUT)
+    script.write_bytes("reset_mask", bytes([0xFF] * script.layout.size("reset_mask")))
+    mode |= Mode.ROLLOUT | Mode.RESET_MASK
+    script.write(script.first("doorbell"), mode | int(script.random.integers(0, 1 << 27)) << 5)
     script.sequence ^= 1 << int(script.random.integers(32))
     script.write(script.first("doorbell") + 1, script.sequence)
 
