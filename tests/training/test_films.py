@@ -19,20 +19,23 @@ Pearl = Callable[..., tuple[int, str, str]]
 pytestmark = pytest.mark.usefixtures("toys")
 
 
-def test_each_evaluation_is_filmed(pearl: Pearl, tmp_path: Path) -> None:
+def test_each_evaluation_is_filmed(tmp_path: Path) -> None:
     """ConnectFour takes turns and has masks; a game has 7 moves at least, and 42 at most."""
-    small = ("--n-agents", 16, "--iterations", 4, "--evaluate-every", 2, "--memory", "gru", "--algo", "pqn")
-    arguments = ("train", "ConnectFour", *small, "--set", "rollout_length=16")
-    for name, films in (("plain", ()), ("filmed", ("--films",))):
-        status, _, err = pearl(*arguments, "--out", tmp_path / name, *films)
-        assert status == 0, err
-    assert not (tmp_path / "plain" / "films").exists()
-    paths = sorted((tmp_path / "filmed" / "films").iterdir())
+    given = {"n_agents": 16, "iterations": 4, "rollout_length": 8, "chunk_length": 8, "memory": "gru"}
+    settings = training.settings_for("pqn", "ConnectFour", given)
+    plan = training.Training("ConnectFour", "pqn", settings, evaluate_every=2)
+    for films in (False, True):
+        run = training.TrainingRun(plan, tmp_path / str(films), evaluated=8, films=films)
+        with run.claimed():
+            while not run.finished:
+                run.iterate()
+    assert not (tmp_path / "False" / "films").exists()
+    paths = sorted((tmp_path / "True" / "films").iterdir())
     assert [path.name for path in paths] == ["000002.gif", "000004.gif"]
     for path in paths:
         with images.open(path) as film:
             assert 7 <= film.n_frames <= 42
-    policies = [(tmp_path / name / "policy.safetensors").read_bytes() for name in ("plain", "filmed")]
+    policies = [(tmp_path / name / "policy.safetensors").read_bytes() for name in ("False", "True")]
     assert policies[0] == policies[1]
 
 
