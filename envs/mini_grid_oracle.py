@@ -21,12 +21,13 @@ from pearl_marl.envs.mini_grid import Box, Thing
 DEFAULTS: dict[str, dict[str, Any]] = {
     "Empty": {},
     "DoorKey": {},
+    "KeyCorridor": {"num_rows": 1, "room_size": 3},
     "LavaGap": {"size": 7},
     "FourRooms": {},
     "DynamicObstacles": {},
     "Memory": {"size": 13},
 }
-"""Our names, and the arguments that have no default in MiniGrid, or one that fails."""
+"""Our names, and the arguments whose default is another one than MiniGrid's, which may have none."""
 
 
 def made(name: str, **options: Any) -> gymnasium.Env[Any, Any]:

@@ -31,6 +31,9 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
     "DoorKey-8x8": ("DoorKey", {}),
     "DoorKey-5x5": ("DoorKey", {"size": 5}),
     "DoorKey-16x16": ("DoorKey", {"size": 16}),
+    "KeyCorridorS3R1": ("KeyCorridor", {}),
+    "KeyCorridorS3R2": ("KeyCorridor", {"room_size": 3, "num_rows": 2}),
+    "KeyCorridorS6R3": ("KeyCorridor", {"room_size": 6, "num_rows": 3}),
     "LavaGapS7": ("LavaGap", {}),
     "LavaGapS5": ("LavaGap", {"size": 5}),
     "FourRooms": ("FourRooms", {}),
@@ -49,6 +52,7 @@ SMALL = (
     *(
         "Empty-Random-5x5",
         "DoorKey-5x5",
+        "KeyCorridorS3R1",
         "LavaGapS5",
         "FourRooms",
         "Dynamic-Obstacles-Random-5x5",
@@ -60,6 +64,7 @@ HAPPENS: dict[str, set[str]] = {
     "Empty": {"goals", "late"},
     "DoorKey": {"goals", "late", "carried", "open", "closed", "locked"},
     "LavaGap": {"goals", "deaths"},
+    "KeyCorridor": {"goals", "late", "carried", "open", "closed", "locked"},
     "FourRooms": {"goals", "late"},
     "DynamicObstacles": {"goals", "deaths"},
     "Memory": {"goals", "deaths"},
@@ -141,7 +146,7 @@ def scattered(spec: EnvSpec, n: int) -> list[Array]:
     """Return starts, in half of which a door is in any state and the key in the agent's hand."""
     words, generator = starts(spec, n, seed=1), np.random.default_rng(2)
     for field, word in zip(spec.state, words, strict=True):
-        if field.name == "door" or field.name.endswith("carried"):
+        if field.name in ("door", "key_carried"):
             word[::2] = generator.integers(field.range[1] + 1, size=len(word[::2]))
     return words
 
@@ -198,6 +203,7 @@ def features(game: Any) -> dict[str, Any]:
         "states": states.tolist(),
         **{f"kind {kind}": cells for kind, cells in where.items()},
         **{f"the first of kind {kind}": cells[0] for kind, cells in where.items()},
+        **{f"how many of kind {kind}": len(cells) for kind, cells in where.items()},
         "all": (grid, place, direction),
     }
 
@@ -264,6 +270,8 @@ REFUSED: dict[str, tuple[str, dict[str, Any]]] = {
     "agent_start_dir is 4; it must be an integer from 0 to 3": ("Empty", {"agent_start_dir": 4}),
     "max_steps is 0; it must be an integer from 1 to 65,534": ("Empty", {"max_steps": 0}),
     "size is 4; it must be an integer from 5 to 32": ("DoorKey", {"size": 4}),
+    "num_rows is 4; it must be an integer from 1 to 3": ("KeyCorridor", {"num_rows": 4}),
+    "room_size is 2; it must be an integer from 3 to 8": ("KeyCorridor", {"room_size": 2}),
 }
 
 

@@ -1,0 +1,1 @@
+"""MiniGridKeyCorridor: find the key that opens the room with the ball."""
