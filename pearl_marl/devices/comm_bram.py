@@ -149,6 +149,9 @@ class CommBram(Device):
                 protocol.policy = None  # should the write fail half way
                 run.load(protocol.transport)
                 protocol.policy = policy
+            if not (config.limit or mirror.all_due):
+                # The hardware counts steps of episodes without a limit, too; see Rollout for what counts then.
+                protocol.write_region("elapsed", (_ELAPSED,), [np.zeros(config.n_envs, np.uint32)])
             protocol.set(self._settings(self.tick))
             mode = mirror.begin_due()
             protocol.doorbell[Doorbell.SEQUENCE] = sequence = (protocol.sequence + 1) & 0xFFFFFFFF

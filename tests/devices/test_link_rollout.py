@@ -44,10 +44,12 @@ class Expected:
         self.running, self.length = np.zeros((n, agents)), np.zeros((n, agents), int)
         # Whether an agent has ended in this episode, and whether its world spends the next step resetting.
         self.over, self.resetting = np.zeros((n, agents), bool), np.zeros(n, bool)
-        self.begin()
+        self.begin(True)
 
-    def begin(self) -> None:
-        """Begin a rollout: what has begun before does not count."""
+    def begin(self, limited: bool) -> None:
+        """Begin a rollout: what has begun before does not count; without a time limit it does from here."""
+        if not limited:
+            self.running[:] = self.length[:] = 0
         self.whole = self.length == 0
         self.returns = self.lengths = self.ended = self.truncated = 0
 
@@ -79,7 +81,7 @@ def step_by_step(device: Device, obs: Any, policy: IntegerNetwork, steps: int, s
     spec, n = policy.spec, device.config.n_envs
     slots, agents = np.repeat(np.arange(n, dtype=np.uint32), spec.agents), np.tile(np.arange(spec.agents), n)
     slots += np.uint32(device.config.first_slot)
-    sums.begin()
+    sums.begin(device.config.limit > 0)
     for _ in range(steps):
         draws = policy_draws(policy.draws, device.seed, device.tick, slots, agents, spec.agents)
         choice = policy.choose(np.asarray(obs), agents, device.action_masks, draws)
@@ -91,6 +93,7 @@ def step_by_step(device: Device, obs: Any, policy: IntegerNetwork, steps: int, s
 
 CASES = [
     ("CartPole", NETWORK, [8, 6], {"n_envs": 37}, 64),
+    ("CartPole", NETWORK, [8, 6], {"n_envs": 37, "max_cycles": 0}, 64),
     ("CliffWalking", TABLE, None, {"n_envs": 7, "max_cycles": 13, "first_slot": 5}, 32),
     # Agents that end one by one.
     ("Meadow", NETWORK, [8], {"n_envs": 7, "max_cycles": 20, "autoreset_mode": NEXT}, 32),
