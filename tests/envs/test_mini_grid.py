@@ -143,11 +143,20 @@ def starts(spec: EnvSpec, n: int, seed: int) -> list[Array]:
 
 
 def scattered(spec: EnvSpec, n: int) -> list[Array]:
-    """Return starts, in half of which a door is in any state and the key in the agent's hand."""
+    """Return starts, in half of which a door is in any state and the key in the agent's hand.
+
+    Where there is a ball, it lies ahead of the agent in the other half, and in half of these.
+    """
     words, generator = starts(spec, n, seed=1), np.random.default_rng(2)
     for field, word in zip(spec.state, words, strict=True):
         if field.name in ("door", "key_carried"):
             word[::2] = generator.integers(field.range[1] + 1, size=len(word[::2]))
+    named = {field.name: word for field, word in zip(spec.state, words, strict=True)}
+    if "ball_x" in named:
+        for games in (slice(1, None, 2), slice(0, None, 4)):
+            named["agent_direction"][games] = 0
+            named["ball_x"][games] = named["agent_x"][games] + 1
+            named["ball_y"][games] = named["agent_y"][games]
     return words
 
 
