@@ -150,7 +150,7 @@ class CommBram(Device):
                 run.load(protocol.transport)
                 protocol.policy = policy
             if not (config.limit or mirror.all_due):
-                # The hardware counts steps of episodes without a limit, too; see Rollout for what counts then.
+                # Without a limit the hardware counts steps of episodes, too; Rollout says what counts then.
                 protocol.write_region("elapsed", (_ELAPSED,), [np.zeros(config.n_envs, np.uint32)])
             protocol.set(self._settings(self.tick))
             mode = mirror.begin_due()
