@@ -1,7 +1,6 @@
 """What MPE's environments have in common: discs that are pushed about on a plane, and push each other apart.
 
-A disc is any object with `x`, `y`, `vx` and `vy`. Squares of distances are in units of ``1 / FINE``, so that
-small ones keep their digits.
+Squares of distances are in units of ``1 / FINE``, so that small ones keep their digits.
 
 Follows https://github.com/Farama-Foundation/MPE2 (``mpe2`` 1.0.0): R. Lowe et al., *Multi-Agent Actor-Critic
 for Mixed Cooperative-Competitive Environments*, 2017.
@@ -9,18 +8,44 @@ for Mixed Cooperative-Competitive Environments*, 2017.
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pearl_marl.golden import Word
+from pearl_marl.layout import Real
 
+MOST = 16 - 2**-27
+"""How far agents get from the middle, along each axis, and how fast."""
 DT, DAMPING, CONTACT_FORCE, CONTACT_MARGIN = 0.1, 0.25, 100.0, 0.001
 NEAR = 0.5
 """No contact reaches as far along an axis: of the largest discs 0.03 % of MPE's force is left at 0.31."""
 FINE = 16
 LEAST = 1 / 64
 """The least distance that a force is divided by, in units of ``1 / FINE``: 0 has no direction."""
+
+
+class Agent(NamedTuple):
+    """Where an agent is, and its velocity."""
+
+    x: Real[-MOST, MOST]
+    y: Real[-MOST, MOST]
+    vx: Real[-MOST, MOST]
+    vy: Real[-MOST, MOST]
+
+
+class Landmark(NamedTuple):
+    """Where a landmark is."""
+
+    x: Real[-1, 1]
+    y: Real[-1, 1]
+
+
+class Relative(NamedTuple):
+    """Where something is, seen from an agent."""
+
+    x: Real[-2 * MOST, 2 * MOST]
+    y: Real[-2 * MOST, 2 * MOST]
 
 
 def force_of(action: Any, acceleration: float) -> tuple[Any, Any]:

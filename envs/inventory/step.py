@@ -8,6 +8,7 @@ et al., *OR-Gym: A Reinforcement Learning Library for Operations Research Proble
 """
 
 import math
+from itertools import accumulate
 from typing import NamedTuple
 
 from pearl_marl.golden import Draws, Word
@@ -15,6 +16,9 @@ from pearl_marl.layout import Array, Range
 
 PERIODS, MEAN_DEMAND, MOST_STORED = 30, 20, 3000
 """A stage never gets as many units as it could store."""
+CHANCES = [math.exp(-MEAN_DEMAND) * MEAN_DEMAND**k / math.factorial(k) for k in range(54)]
+DEMANDS = [round(chance * 2**32) for chance in accumulate(CHANCES)]
+"""Below which 32-bit draw a demand, of Poisson's distribution, is at most 0, 1, 2 and so on."""
 CAPACITY, LEAD, START = (100, 90, 80), (3, 5, 10), (100, 100, 200)
 """Of each stage the most that it can order, after how many periods that arrives, and what it has at first."""
 
@@ -45,18 +49,6 @@ class View(NamedTuple):
 
     stored: Array[Range[0, MOST_STORED], 3]
     orders: Array[Range[0, CAPACITY[0]], max(LEAD), 3]
-
-
-def thresholds(mean: float) -> list[int]:
-    """Return below which 32-bit draw a Poisson number is at most 0, 1, 2 and so on."""
-    found, chance, total = [], math.exp(-mean), 0.0
-    while (threshold := round((total := total + chance) * 2**32)) < 2**32:
-        found.append(threshold)
-        chance *= mean / len(found)
-    return found
-
-
-DEMANDS = thresholds(MEAN_DEMAND)
 
 
 def initial(draws: Draws) -> State:

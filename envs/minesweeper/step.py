@@ -1,7 +1,5 @@
 """The golden step of Minesweeper: an explored cell tells how many of its neighbours have a mine.
 
-A board has a bit for each cell, in a word for each row.
-
 Follows https://github.com/instadeepai/jumanji (``jumanji`` 1.1.2, ``Minesweeper-v0``).
 """
 
@@ -19,7 +17,7 @@ def make_golden(rows: int, columns: int, mines: int) -> Golden:
     cells, full = rows * columns, (1 << columns) - 1
 
     class State(NamedTuple):
-        """Which cells have a mine, and which have been explored."""
+        """Which cells have a mine, and which have been explored: a bit for each, in a word for each row."""
 
         mines: Array[Bits[columns], rows]
         explored: Array[Bits[columns], rows]
@@ -34,18 +32,15 @@ def make_golden(rows: int, columns: int, mines: int) -> Golden:
         chosen: list[Word] = []
         for last, cell in enumerate(draws.several(*range(cells - mines + 1, cells + 1)), cells - mines):
             chosen.append(last if cell in chosen else cell)
-        boards = [board_of(cell) for cell in chosen]
-        return State([reduce(or_, lines) for lines in zip(*boards, strict=True)], [0] * rows)
+        return State([reduce(or_, lines) for lines in zip(*map(board_of, chosen), strict=True)], [0] * rows)
 
     def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
         """Explore a cell; one that has been explored ends the game, as a mine does."""
         cell = board_of(action)
-        pairs = list(zip(cell, state.mines, state.explored, strict=True))
-        is_new = any(line & ~explored for line, _, explored in pairs)
-        explodes = any(line & mined for line, mined, _ in pairs)
-        explored = [line | before for line, _, before in pairs]
-        solved = all(line | mined == full for line, mined in zip(explored, state.mines, strict=True))
-        safe = is_new and not explodes
+        ending = [mined | explored for mined, explored in zip(state.mines, state.explored, strict=True)]
+        safe = any(line & ~before for line, before in zip(cell, ending, strict=True))
+        solved = all(line | before == full for line, before in zip(cell, ending, strict=True))
+        explored = [line | before for line, before in zip(cell, state.explored, strict=True)]
         return State(state.mines, explored), safe, solved or not safe
 
     def board_of(cell: Word) -> list[Word]:

@@ -7,38 +7,24 @@ Actor-Critic for Mixed Cooperative-Competitive Environments*, 2017.
 import math
 from typing import Any, NamedTuple
 
-from pearl_marl.envs.particles import FINE, force_of, moved, push, square, touch
+from pearl_marl.envs.particles import (
+    FINE,
+    MOST,
+    Agent,
+    Landmark,
+    Relative,
+    force_of,
+    moved,
+    push,
+    square,
+    touch,
+)
 from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Array, Flag, Real
 from pearl_marl.spec import Golden
 
 ACCELERATION, SIZES = 5.0, 0.3
 """Of an agent, and the radii of two."""
-REACH, MOST_SPEED = 16 - 2**-27, 16 - 2**-27
-"""How far agents get from the middle, along each axis, and how fast."""
-
-
-class Agent(NamedTuple):
-    """Where it is, and its velocity."""
-
-    x: Real[-REACH, REACH]
-    y: Real[-REACH, REACH]
-    vx: Real[-MOST_SPEED, MOST_SPEED]
-    vy: Real[-MOST_SPEED, MOST_SPEED]
-
-
-class Landmark(NamedTuple):
-    """Where it is."""
-
-    x: Real[-1, 1]
-    y: Real[-1, 1]
-
-
-class Relative(NamedTuple):
-    """Where something is, seen from an agent."""
-
-    x: Real[-2 * REACH, 2 * REACH]
-    y: Real[-2 * REACH, 2 * REACH]
 
 
 def make_golden(n: int, local_ratio: float) -> Golden:
@@ -49,10 +35,10 @@ def make_golden(n: int, local_ratio: float) -> Golden:
         landmarks: Array[Landmark, n]
 
     class View(NamedTuple):
-        vx: Real[-MOST_SPEED, MOST_SPEED]
-        vy: Real[-MOST_SPEED, MOST_SPEED]
-        x: Real[-REACH, REACH]
-        y: Real[-REACH, REACH]
+        vx: Real[-MOST, MOST]
+        vy: Real[-MOST, MOST]
+        x: Real[-MOST, MOST]
+        y: Real[-MOST, MOST]
         landmarks: Array[Relative, n]
         others: Array[Relative, n - 1]
         said: Array[Flag, 2 * (n - 1)]
