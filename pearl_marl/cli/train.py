@@ -84,6 +84,15 @@ Films = Annotated[
     bool,
     typer.Option("--films", help="Film the policy at each evaluation: a GIF each, in the folder `films`."),
 ]
+Track = Annotated[
+    str | None,
+    typer.Option(
+        "--track",
+        metavar="SERVICE",
+        help="Send the metrics to `wandb` (Weights & Biases) or `mlflow`, too, which has to be installed.",
+        show_default="only files",
+    ),
+]
 Quantize = Annotated[
     bool,
     typer.Option(
@@ -116,6 +125,7 @@ def command(
     shards: Shards = None,
     seeds: Seeds = None,
     films: Films = False,
+    track: Track = None,
     quantize: Quantize = False,
     option: common.Options = None,
     out: Folder = None,
@@ -166,15 +176,16 @@ def command(
         error_console.print(f"pearl: {warning.message}", markup=False, soft_wrap=True)
     plan = training.Training(env_id, algo, settings, dict(spec.options), device, goal, evaluate_every)
     if seeds is not None:
-        if shards is not None or films or quantize:
+        if shards is not None or films or track is not None or quantize:
             raise ArgumentError(
-                "--seeds trains in this process, for the spread: leave --shards, --films and --quantize out"
+                "--seeds trains in this process, for the spread: leave --shards, --films, --track and "
+                "--quantize out"
             )
         population = Population(plan, out, seeds)
         _train(population, f"{env_id}, {algo}, {seeds} seeds", settings.iterations)
         _tell_spread(population, env_id, algo, as_json)
         return
-    run = training.TrainingRun(plan, out, shards, films=films)
+    run = training.TrainingRun(plan, out, shards, films=films, track=track)
     if quantize:
         integers.check(run.trainer.policy)
     _train(run, f"{env_id}, {algo}", settings.iterations)

@@ -177,11 +177,14 @@ class TrainingRun:
         The least time between two checkpoints, which large replay memories take a while to write.
     films
         Whether each evaluation is filmed: see :func:`~pearl_marl.training.films.film`.
+    track
+        A service that gets the metrics, too: ``"wandb"`` or ``"mlflow"``.
 
     Raises
     ------
     ArgumentError
-        The algorithm does not suit the environment, or that has no drawing to film.
+        The algorithm does not suit the environment, that has no drawing to film, or the service is not
+        installed.
     """
 
     def __init__(
@@ -192,6 +195,7 @@ class TrainingRun:
         evaluated: int | None = None,
         checkpoint_seconds: float = 20.0,
         films: bool = False,
+        track: str | None = None,
     ) -> None:
         settings, self.goal, self.checkpoint_seconds = training.settings, training.goal, checkpoint_seconds
         self.trainer = training.trainer(shards)
@@ -211,7 +215,7 @@ class TrainingRun:
             "evaluate_every": self.evaluate_every,
         }
         kind = SETTINGS[self.algorithm]
-        self.folder = RunFolder(folder, about, kind.successors(), kind.defaults())
+        self.folder = RunFolder(folder, about, kind.successors(), kind.defaults(), track)
         self.films = films
         if films:  # what cannot be filmed is refused at once
             Video(spec, folder / "film.gif").close()

@@ -27,6 +27,7 @@ from pearl_marl.checks import is_number
 from pearl_marl.errors import ArgumentError, brief, one_line
 from pearl_marl.evaluation.machine import machine
 from pearl_marl.rendering import new_figure, save_figure
+from pearl_marl.training import tracking
 
 CHECKPOINT, PREVIOUS = "checkpoint.pt", "checkpoint.previous.pt"
 CONFIG, METRICS, POLICY, CURVE = "config.json", "metrics.csv", "policy.safetensors", "learning_curve.png"
@@ -48,6 +49,8 @@ class RunFolder:
         Names of the algorithm's renamed settings, by those that an older run has for them.
     defaults
         Of the algorithm's settings: an older run has them where it does not know a setting.
+    track
+        A service that gets the metrics, too: see :mod:`pearl_marl.training.tracking`.
     """
 
     def __init__(
@@ -56,12 +59,17 @@ class RunFolder:
         settings: dict[str, Any],
         successors: Mapping[str, str] | None = None,
         defaults: Mapping[str, Any] | None = None,
+        track: str | None = None,
     ) -> None:
+        if track is not None:
+            tracking.check(track)
         self.path = path
         self._successors, self._defaults = successors or {}, defaults or {}
         self.rows: list[dict[str, Any]] = []
         self._settings = json.loads(json.dumps(settings))
         self._board: SummaryWriter | None = None
+        self._track = track
+        self._tracker: tracking.Tracker | None = None
         self._resumed = path / CHECKPOINT
 
     @contextlib.contextmanager
@@ -78,7 +86,14 @@ class RunFolder:
             config = self.path / CONFIG
             if config.exists():
                 self._check(_settings(config), f"{self.path} holds")
-            yield
+            if self._track is not None:
+                about = {k: v for k, v in _flat(self._settings, {}, {}).items() if v is not None}
+                self._tracker = tracking.tracker(self._track, self.path, about)
+            try:
+                yield
+            finally:
+                if self._tracker is not None:
+                    self._tracker.close()
 
     def write_config(self) -> None:
         """Write config.json, unless it is there."""
@@ -162,13 +177,15 @@ class RunFolder:
         )
 
     def report(self, agent_steps: int, **metrics: float | None) -> None:
-        """Note the figures of the moment; written with the next checkpoint, and for TensorBoard at once."""
+        """Note the figures of the moment; written with the next checkpoint, and sent to others at once."""
         self.rows.append({"agent_steps": agent_steps, **metrics})
         if self._board is None:  # what a run that was killed reported after its checkpoint is not shown
             self._board = SummaryWriter(str(self.path), purge_step=agent_steps)
-        for name, value in metrics.items():
-            if value is not None:
-                self._board.add_scalar(name, value, agent_steps)
+        known = {name: value for name, value in metrics.items() if value is not None}
+        for name, value in known.items():
+            self._board.add_scalar(name, value, agent_steps)
+        if self._tracker is not None:
+            self._tracker.log(agent_steps, known)
 
     def checkpoint(self, state: dict[str, Any]) -> None:
         """Keep what the continuation depends on, and the metrics."""

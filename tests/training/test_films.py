@@ -43,7 +43,7 @@ def test_each_evaluation_is_filmed(tmp_path: Path) -> None:
     ("arguments", "words"),
     [
         (("Ladder", "--films"), "render_mode is 'rgb_array'; Ladder has none"),
-        (("CartPole", "--films", "--seeds", 2), "leave --shards, --films and --quantize out"),
+        (("CartPole", "--films", "--seeds", 2), "leave --shards, --films, --track and --quantize out"),
     ],
 )
 def test_what_cannot_be_filmed_is_refused(
