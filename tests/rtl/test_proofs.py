@@ -106,8 +106,8 @@ def check_packer(folder: Path, row: int, word: int, rows: int, words: int, fault
     ("row", "word", "rows", "words"),
     [
         pytest.param(6, 4, 4, 6, marks=pytest.mark.exhaustive),  # sharing a factor
-        (6, 4, 4, 5),  # the same, and the last row ends in padding
-        (3, 8, 7, 3),  # sharing none
+        pytest.param(6, 4, 4, 5, marks=pytest.mark.exhaustive),  # the same, and the last row ends in padding
+        (3, 8, 7, 3),  # sharing none, and ending in padding
         pytest.param(8, 4, 3, 6, marks=pytest.mark.exhaustive),  # a row is many words
         (2, 8, 9, 3),  # a word is many rows
         *(
