@@ -18,7 +18,6 @@ FIRST = (
     "tests/devices/test_rtl.py",
     "tests/rtl/test_netlist.py",
     "tests/rtl/test_modules.py",
-    "tests/cli/test_new.py",
     "tests/contract/test_environments.py::TestSimulated",
     "tests/rtl/test_top.py",
     "tests/hardware",
@@ -27,6 +26,7 @@ FIRST = (
     "tests/rtl/test_cores.py",
     "tests/envs/test_robot_warehouse.py",
     "tests/compiler/test_proofs.py",
+    "tests/cli/test_new.py",  # checks types, for which the linters beside the tests fill mypy's cache meanwhile
     "tests/envs/test_seaquest.py",
     "tests/rtl/test_coverage.py",
     "tests/rtl/test_mutation.py",
