@@ -26,7 +26,7 @@ FIRST = (
     "tests/rtl/test_cores.py",
     "tests/envs/test_robot_warehouse.py",
     "tests/compiler/test_proofs.py",
-    "tests/cli/test_new.py",  # checks types, for which the linters beside the tests fill mypy's cache meanwhile
+    "tests/cli/test_new.py",  # checks types: the linters beside fill mypy's cache meanwhile
     "tests/envs/test_seaquest.py",
     "tests/rtl/test_coverage.py",
     "tests/rtl/test_mutation.py",
