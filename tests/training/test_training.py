@@ -350,7 +350,7 @@ def same(one: Any, other: Any) -> bool:
 @pytest.mark.parametrize(
     ("algorithm", "given", "words"),
     [
-        ("sarsa", {}, "'sarsa'.*'ppo', 'mappo', 'self-play', 'dqn', 'pqn', 'q-learning', 'ippo', 'iql'"),
+        ("sarsa", {}, "'sarsa'.*'dqn', 'pqn', 'vdn', 'qmix', 'q-learning', 'ippo', 'iql'"),
         ("ppo", {"n_agent": 5}, "--set n_agent: .*'n_agents'"),
         ("ppo", {"rollout_length": 1.5}, "--set rollout_length is 1.5"),
         ("dqn", {"discount": -1}, "--set discount is -1"),
