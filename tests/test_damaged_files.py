@@ -18,7 +18,7 @@ pytest.importorskip("torch", reason="torch is not installed: pip install '.[trai
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.mark.parametrize("count", [60, pytest.param(5000, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("count", [150, pytest.param(5000, marks=pytest.mark.exhaustive)])
 def test_damaged_files(count: int, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "tests.damage", tmp_path, str(count)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=3000, check=False)
