@@ -36,8 +36,6 @@ THINGS = (
     *mini_grid.THINGS,
     *(Thing(kind, colour, state) for kind, state in KINDS for colour in range(COLOURS)),
 )
-
-
 RANK = 24
 NEVER = 1 << RANK
 """The bits of a door's rank, and the rank of a door that is not made."""
