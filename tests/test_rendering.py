@@ -43,10 +43,13 @@ def without(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_pictures_without_their_library(name: str, mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for library in ("pygame", "minatar", "minigrid", "mpe2", "matplotlib", "PIL"):
         without(library, monkeypatch)
-    # Which have imported them perhaps.
+    # Modules that may hold on to what they imported. `from package import module` asks the package first.
     holding = re.compile(r"pearl_marl\.envs\.\w+_oracle$|pettingzoo\.classic\.")
     for module in filter(holding.match, list(sys.modules)):
         monkeypatch.delitem(sys.modules, module)
+        package, _, attribute = module.rpartition(".")
+        if package in sys.modules:
+            monkeypatch.delattr(sys.modules[package], attribute, raising=False)
     n = 2 * pearl_marl.get_spec(name).agents
     with closing(pearl_marl.parallel_env(name, n, render_mode=mode)) as env:
         draw = env.render if mode == "rgb_array" else env.reset
