@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -172,9 +171,8 @@ def encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first_slot: in
         several, the field.
     """
     words = _encode(actions, spec, target)
-    rules = partial(ActionRules.of, spec, spec.action_space, len(target), first_slot)
     if words is None:
-        raise rules().refusal(actions)
+        raise ActionRules.of(spec, spec.action_space, len(target), first_slot).refusal(actions)
     if spec.roles and isinstance(spec.action_space, Discrete):
         spaces = [role.action_space for role in spec.roles]
         most = np.array([space.n for space in spaces])  # type: ignore[union-attr]  # as the spec's is
@@ -182,7 +180,8 @@ def encode(actions: Any, spec: EnvSpec, target: npt.NDArray[Any], first_slot: in
         if beyond.size:
             i = int(beyond[0])
             agent = f"agent_{first_slot * spec.agents + i}"
-            raise rules().refusal_of([agent], [int(words[i])], spaces[i % spec.agents])
+            rules = ActionRules.of(spec, spec.action_space, len(target), first_slot)
+            raise rules.refusal_of([agent], [int(words[i])], spaces[i % spec.agents])
     return words
 
 

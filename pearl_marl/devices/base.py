@@ -66,6 +66,10 @@ class Phase(enum.Enum):
     """It has released everything, and takes no call but :meth:`Device.close`."""
 
 
+READY = Phase.READY
+"""For every step: an enum's members are looked up slowly."""
+
+
 class Position(NamedTuple):
     """What a device knows of its batch besides the slots: where a refused or failed call goes back to."""
 
@@ -242,14 +246,14 @@ class Device(ABC):
         OrderError
             Before the first reset, after ``close``, or between ``send`` and ``recv``.
         """
-        if self.phase is not Phase.READY:
+        if self.phase is not READY:
             self.check_idle("step", ready=True)
         return self._take(self.encoded(actions))
 
     @uninterrupted
     def step_words(self, words: Array) -> BatchStep:
         """Step every slot once by its actions' words, as ``room_for_words`` has room for them; unchecked."""
-        if self.phase is not Phase.READY:
+        if self.phase is not READY:
             self.check_idle("step_words", ready=True)
         return self._take(words)
 

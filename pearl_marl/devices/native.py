@@ -23,7 +23,7 @@ from pearl_marl.batch.step import BatchStep, Observed
 from pearl_marl.checks import checked_count_or_none
 from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import compile_kernels
-from pearl_marl.devices.base import Device, Phase
+from pearl_marl.devices.base import READY, Device
 from pearl_marl.devices.native_rollout import (
     StepArrays,
     address_of_step,
@@ -38,8 +38,6 @@ from pearl_marl.policies.device_policy import CompiledPolicy, DevicePolicy
 
 _TICK = STEP_ARGUMENTS.index("tick")
 _SEEDS = slice(STEP_ARGUMENTS.index("seed_0"), STEP_ARGUMENTS.index("seed_1") + 1)
-
-_READY = Phase.READY  # an enum's members are looked up slowly
 
 TRIAL_STEPS, TRIAL_PARTS = 5, 2
 """Steps in a row, and parts of a rollout, that decide how many threads they take."""
@@ -152,7 +150,7 @@ class Native(Device):
         """Step every slot once; see :meth:`Device.step`."""
         # The kernel looks at the actions itself, where no other thread has begun by then.
         if not (
-            self.phase is _READY and self._checks and self._threads.now == 1 and self.stage_seconds is None
+            self.phase is READY and self._checks and self._threads.now == 1 and self.stage_seconds is None
         ):
             return super().step(actions)
         if not are_words(actions, self._words):

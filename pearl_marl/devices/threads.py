@@ -82,9 +82,10 @@ class ThreadCount:
 
     def learn(self, seconds: float, work: int = 1) -> None:
         """Learn from the time that the task took, and from how much there was to do."""
-        self._recent.append((seconds, seconds / work))
         if self.now == 1 and seconds < SLOW_SECONDS:
             self._recent.clear()
+            return
+        self._recent.append((seconds, seconds / work))
         if len(self._recent) < self._trials:
             return
         whole, each = (statistics.median(some) for some in zip(*self._recent, strict=True))
