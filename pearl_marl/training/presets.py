@@ -92,6 +92,20 @@ MINATAR: dict[str, Any] = {
     "width": 128,
 }
 
+# A player that always does the same is seen through: much entropy, and actions stay random.
+POKER: dict[str, Any] = {
+    "n_agents": 1024,
+    "rollout_length": 16,
+    "iterations": 100,
+    "minibatch": 1024,
+    "learning_rate": 1e-3,
+    "discount": 1.0,
+    "entropy": 0.1,
+    "width": 32,
+    "join_every": 5,
+    "temperature": 1.0,
+}
+
 PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     # Fast rather than frugal: every step is learned from once, so another one costs little.
     ("ppo", "CartPole"): {
@@ -161,6 +175,28 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "discount": 0.99,
         "entropy": 0.01,
     },
+    # For a grid of 6 by 6.
+    ("ppo", "Snake"): {
+        "n_agents": 512,
+        "rollout_length": 32,
+        "iterations": 80,
+        "minibatch": 2048,
+        "learning_rate": 1e-3,
+        "discount": 0.99,
+        "entropy": 0.01,
+    },
+    # An episode of 25 steps is a rollout. An agent has to know which of the landmarks is its own.
+    ("ppo", "SimpleSpread"): {
+        "n_agents": 1536,
+        "rollout_length": 25,
+        "iterations": 150,
+        "minibatch": 2048,
+        "learning_rate": 2e-3,
+        "discount": 0.95,
+        "entropy": 0.01,
+        "reward_scale": 0.1,
+        "sharing": "indicator",
+    },
     # One game is like another unless some moves are random.
     ("self-play", "ConnectFour"): {
         "n_agents": 512,
@@ -174,6 +210,8 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "width": 128,
         "random_moves": 0.3,
     },
+    ("self-play", "KuhnPoker"): POKER,
+    ("self-play", "LeducPoker"): POKER | {"iterations": 200, "reward_scale": 0.2, "width": 64},
     ("ppo", "LevelBasedForaging"): FORAGING,
     ("mappo", "LevelBasedForaging"): FORAGING,
     ("vdn", "LevelBasedForaging"): FORAGING_TEAM,
