@@ -259,13 +259,14 @@ class Engine(NamedTuple):
     @classmethod
     def of_words(cls, kind: int, words: Sequence[int]) -> Engine:
         """Return the engine that hardware states: the number of its kind, and its words in the statistics."""
-        (first, *sizes), name = words, ENGINE_KINDS[kind]
+        first, name = words[0], ENGINE_KINDS[kind]
+        sizes: list[Any] = list(words[1:])
         drawn, number = first & 1, first >> 1
         if (drawn if name == "golden" else number) or not all(1 <= size < 1 << 24 for size in sizes):
             raise DeviceError(
                 f"the hardware states an impossible policy engine: {', '.join(map(str, words))}"
             )
-        return cls._make([name, bool(drawn), *sizes, None, number])
+        return cls(name, bool(drawn), *sizes)._replace(stated=number)
 
     def weight_words(self, spec: EnvSpec) -> int:
         """Return how many words of weights it has room for, each with those of ``products`` products."""
