@@ -84,13 +84,12 @@ def checked_number(
     *,
     above: float = -math.inf,
     below: float = math.inf,
-    note: str = "",
 ) -> float:
     """Return an argument that has to be a finite number of a range as a ``float``."""
-    return float(_inside(NumberRange(least=least, most=most, above=above, below=below), name, value, note))
+    return float(_inside(NumberRange(least=least, most=most, above=above, below=below), name, value))
 
 
-def _inside(possible: NumberRange, name: str, value: Any, note: str) -> Any:
+def _inside(possible: NumberRange, name: str, value: Any, note: str = "") -> Any:
     if value not in possible:
         raise ArgumentError(f"{name} is {brief(value)}; it must be {possible}{note}")
     return value

@@ -227,18 +227,20 @@ class Engine(NamedTuple):
     weight_bits: int = 8
     value_bits: int = 12
     """Width of what weights are multiplied by, sign included: inputs, and outputs of layers."""
-    function: GoldenPolicy | int = 0
-    """The policy of a golden function; of an engine that hardware states, its number alone."""
+    function: GoldenPolicy | None = None
+    """The policy of a golden function that hardware is built of."""
+    stated: int = 0
+    """The number of a golden function without its policy: all that hardware states of it."""
 
     @property
     def number(self) -> int:
         """The number of its golden function; 0 of an engine of another kind."""
-        return self.function if isinstance(self.function, int) else self.function.number
+        return self.stated if self.function is None else self.function.number
 
     @property
     def draws(self) -> int:
         """How many random draws it takes for an agent's action; of a golden function its policy says so."""
-        return int(self.drawn) if isinstance(self.function, int) else self.function.draws
+        return int(self.drawn) if self.function is None else self.function.draws
 
     @property
     def words(self) -> list[int]:
@@ -246,22 +248,25 @@ class Engine(NamedTuple):
 
         The first is ``drawn`` and, above this bit, the number of the golden function.
         """
-        return [self.drawn | self.number << 1, *self[2:-1]]
+        return [self.drawn | self.number << 1, *self[2:-2]]
 
     def as_json(self) -> dict[str, Any]:
         """Return it as JSON has it, with the number of its golden function."""
-        return {**self._asdict(), "function": self.number}
+        sizes = self._asdict()
+        del sizes["stated"]
+        return {**sizes, "function": self.number}
 
     @classmethod
     def of_words(cls, kind: int, words: Sequence[int]) -> Engine:
         """Return the engine that hardware states: the number of its kind, and its words in the statistics."""
-        (first, *sizes), name = words, ENGINE_KINDS[kind]
+        first, name = words[0], ENGINE_KINDS[kind]
+        sizes: list[Any] = list(words[1:])
         drawn, number = first & 1, first >> 1
         if (drawn if name == "golden" else number) or not all(1 <= size < 1 << 24 for size in sizes):
             raise DeviceError(
                 f"the hardware states an impossible policy engine: {', '.join(map(str, words))}"
             )
-        return cls(name, bool(drawn), *sizes)._replace(function=number)
+        return cls(name, bool(drawn), *sizes)._replace(stated=number)
 
     def weight_words(self, spec: EnvSpec) -> int:
         """Return how many words of weights it has room for, each with those of ``products`` products."""

@@ -6,6 +6,7 @@ import fcntl
 import importlib.util
 import os
 import shutil
+import signal
 import sys
 from collections.abc import Callable, Container, Iterator
 from pathlib import Path
@@ -192,3 +193,22 @@ def pearl(
         return int(exit_.value.code or 0), captured.out, captured.err
 
     return call
+
+
+@pytest.fixture
+def one_thread() -> Iterator[None]:
+    """Sums of several threads may differ from run to run, and with them what is learned."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture
+def ctrl_c() -> Iterator[None]:
+    """Ctrl-C as a program has it: a test runner, or a shell that starts one, may have set another handler."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)

@@ -21,15 +21,9 @@ from pearl_marl.devices import Phase
 from pearl_marl.devices.threads import Threads
 from tests.devices.boards import OwnBoard
 
+pytestmark = pytest.mark.usefixtures("ctrl_c")
+
 Env = Any
-
-
-@pytest.fixture(autouse=True)
-def ctrl_c() -> Iterator[None]:
-    # As a program has it: a test runner, or a shell that starts one, may have set another handler.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
 
 
 def interrupted(call: Callable[[], Any], after: float) -> KeyboardInterrupt | None:

@@ -110,10 +110,10 @@ def act_core(spec: EnvSpec, engine: Engine, target: Target = TARGET) -> Core:
         can.
     """
     policy = engine.function
-    if isinstance(policy, int):
+    if policy is None:
         raise ArgumentError(
-            f"an engine for a golden function is built of its policy, and this one has the number {policy}: "
-            "give Engine('golden', function=GoldenPolicy(...))"
+            "an engine for a golden function is built of its policy, and this one has the number "
+            f"{engine.stated}: give Engine('golden', function=GoldenPolicy(...))"
         )
     if (policy.spec.id, policy.spec.behaviour) != (spec.id, spec.behaviour):
         raise ArgumentError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -14,7 +13,7 @@ from pearl_marl.porting import oracle
 from pearl_marl.porting.contents import elements, leaves_of
 from pearl_marl.porting.oracle import DifferenceError, Games, Ours, Outcome, Rules, one_by_one
 from pearl_marl.porting.originals import Original
-from pearl_marl.porting.port import first_unlike, like
+from pearl_marl.porting.port import like
 from pearl_marl.spec import EnvSpec
 
 Pose = Callable[[Any], None]
@@ -216,33 +215,22 @@ def _outcomes(
     original.reset(seed=0)
     compared = set[tuple[Any, ...]]()
 
-    def posed(state: Any, actions: list[Any], draws: list[int]) -> Outcome:
+    def posed(state: Any, actions: list[Any]) -> Outcome:
         pose(state)
         original.reseed(int(rng.integers(1 << 31)))
-        return _stepped(spec, original, actions, draws)
+        return _stepped(spec, original, actions, [])
 
     for taken, (words, actions) in enumerate(_walk(spec, original, rng, steps), 1):
         key = (*map(int, words), *np.ravel(actions).tolist())
         if key in compared or len(compared) >= MOST_SAMPLED:
             continue
         compared.add(key)
-        ours, given = Ours(spec, SAMPLES), np.stack([actions] * SAMPLES)
-        ours.words = [np.full(SAMPLES, word) for word in words]
-        other = one_by_one(spec, posed)
-        other.pose(np.arange(SAMPLES), ours.values())
-        theirs = oracle.numbers(spec, other.step(given, np.zeros((SAMPLES, 0))))
-        own = ours.step(given, oracle.uniform_draws(rng, SAMPLES, spec.step_draws))
-        mine = oracle.numbers(spec, own._replace(observations=ours.observations()))
-        said = [name for name, column in theirs.items() if not np.isnan(column).any()]
-        rows = (np.stack([side[name] for name in said], 1).tolist() for side in (mine, theirs))
-        unlike = first_unlike(*(Counter(map(tuple, side)) for side in rows))  # type: ignore[arg-type]
-        if unlike:
-            result, share, right = unlike
-            told = ", ".join(f"{name} {x:g}" for name, x in zip(said, result, strict=True))
-            return taken, (
-                f"from {oracle.named(spec, words)} by action {np.ravel(actions).tolist()}: {told} has a "
-                f"share of {share:.2f}, the original's is {right:.2f}"
-            )
+        values = [field.value(int(word)) for field, word in zip(spec.state, words, strict=True)]
+        state, given = spec.layout.built(values), actions.tolist()
+        theirs = oracle.joined([posed(state, given) for _ in range(SAMPLES)])
+        wrong = oracle.unlike_outcomes(spec, words, actions, theirs, rng)
+        if wrong:
+            return taken, wrong
     return steps, None
 
 

@@ -7,7 +7,7 @@ both by the same actions and draws, and compares observations, rewards, ends, ma
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -92,12 +92,12 @@ class Games:
 
     def look(self, games: Array) -> Outcome:
         """Return what these games show as they are."""
-        return _joined([self._look(self.games[game]) for game in games.tolist()])
+        return joined([self._look(self.games[game]) for game in games.tolist()])
 
     def step(self, actions: Array, draws: Array) -> Outcome:
         """Step all games."""
         rows = zip(self.games, actions.tolist(), draws.tolist(), strict=True)
-        return _joined([self._step(*row) for row in rows])
+        return joined([self._step(*row) for row in rows])
 
 
 class Rules:
@@ -132,7 +132,7 @@ def one_by_one(spec: EnvSpec, step: Callable[[Any, list[Any], list[int]], Outcom
 
     def every(state: list[Array], actions: Array, draws: Array) -> Outcome:
         rows = zip(_states(spec, state), actions.tolist(), draws.tolist(), strict=True)
-        return _joined([step(*row) for row in rows])
+        return joined([step(*row) for row in rows])
 
     return Rules(every)
 
@@ -142,7 +142,7 @@ def _states(spec: EnvSpec, columns: list[Array]) -> Iterator[Any]:
     return map(spec.layout.built, zip(*(column.tolist() for column in columns), strict=True))
 
 
-def _joined(outcomes: Sequence[Outcome]) -> Outcome:
+def joined(outcomes: Sequence[Outcome]) -> Outcome:
     """Return the outcomes of several games as one."""
     columns: dict[str, Any] = dict(zip(Outcome._fields, zip(*outcomes, strict=True), strict=True))
     states = columns.pop("state")
@@ -397,7 +397,7 @@ class _Judge:
 
 
 def numbers(spec: EnvSpec, outcome: Outcome) -> dict[str, Array]:
-    """Return rewards, ends and observations of many games by their names, a column for each number."""
+    """Return rewards, ends, observations and states of many games by their names, a column a number."""
     columns = dict[str, Array]()
     shown = {"reward": outcome.rewards, "terminated": outcome.terminated, "observation": outcome.observations}
     for what, values in shown.items():
@@ -406,6 +406,8 @@ def numbers(spec: EnvSpec, outcome: Outcome) -> dict[str, Array]:
             table = table.reshape(len(table), spec.agents, -1)
             for at in np.ndindex(table.shape[1:]):
                 columns[_name(spec, what, *at)] = table[:, *at]
+    for name, column in (outcome.state or {}).items():
+        columns[name] = np.asarray(column, np.float64)
     return columns
 
 
@@ -425,3 +427,79 @@ def named(spec: EnvSpec, words: Sequence[Any]) -> str:
     """Return a state as a message names it."""
     pairs = [f"{f.name}={f.value(word)}" for f, word in zip(spec.state, words, strict=True)]
     return ", ".join(pairs if len(pairs) <= 12 else [*pairs[:12], "..."])
+
+
+OFTEN = 0.1
+"""The share of an outcome that has to be on both sides."""
+
+
+def first_unlike(
+    ours: Counter[Any], theirs: Counter[Any], close: Callable[[Any, Any], bool] | None = None
+) -> tuple[Any, float, float] | None:
+    """Return an outcome that is often on one side, and never on the other or much less, and its shares.
+
+    Without ``close``, which tells what counts as the same, outcomes are equal.
+    """
+
+    def share(counts: Counter[Any], outcome: Any) -> float:
+        if close is None:
+            return counts[outcome] / counts.total()
+        return sum(count for other, count in counts.items() if close(other, outcome)) / counts.total()
+
+    for outcome in {**theirs, **ours}:
+        own, due = share(ours, outcome), share(theirs, outcome)
+        both = (own + due) / 2
+        chance = np.sqrt(both * (1 - both) * (1 / ours.total() + 1 / theirs.total()))
+        if (max(own, due) >= OFTEN and min(own, due) == 0) or abs(own - due) > 6 * chance:
+            return outcome, own, due
+    return None
+
+
+def unlike_outcomes(
+    spec: EnvSpec,
+    words: Sequence[Any],
+    actions: Any,
+    theirs: Outcome,
+    generator: np.random.Generator,
+    tolerance: float = 0.0,
+) -> str | None:
+    """Compare outcomes of one step with draws: what happens often on one side happens on the other.
+
+    Parameters
+    ----------
+    spec, words, actions
+        The environment, the state that the step is from, and the actions of all agents.
+    theirs
+        What the original came to, time after time; of observations and states, what it says is compared.
+    generator
+        Of our draws, for as many outcomes.
+    tolerance
+        By how much numbers of the same outcome may differ.
+    """
+    n = len(theirs.rewards)
+    ours = Ours(spec, n)
+    ours.words = [np.full(n, word, field.dtype) for word, field in zip(words, spec.state, strict=True)]
+    own = ours.step(np.stack([actions] * n), uniform_draws(generator, n, spec.step_draws))
+    if theirs.observations is not None:
+        own = own._replace(observations=ours.observations())
+    if theirs.state is not None:
+        names = (field.name for field in spec.state)
+        own = own._replace(state=dict(zip(names, ours.values(), strict=True)))
+    mine, due = numbers(spec, own), numbers(spec, theirs)
+    said = [name for name, column in due.items() if not np.isnan(column).any()]
+
+    def counted(columns: dict[str, Array]) -> Counter[Any]:
+        return Counter(map(tuple, np.stack([columns[name] for name in said], 1).tolist()))
+
+    def close(one: Sequence[float], two: Sequence[float]) -> bool:
+        return float(np.abs(np.subtract(one, two)).max()) <= tolerance
+
+    unlike = first_unlike(counted(mine), counted(due), close if tolerance else None)
+    if unlike is None:
+        return None
+    result, share, right = unlike
+    told = ", ".join(f"{name} {x:g}" for name, x in zip(said, result, strict=True))
+    return (
+        f"from {named(spec, words)} by action {np.ravel(actions).tolist()}: {told} has a "
+        f"share of {share:.2f}, the original's is {right:.2f}"
+    )

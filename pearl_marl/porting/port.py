@@ -10,27 +10,33 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box
 
-from pearl_marl.golden import CountingDraws, Draws, as_python_runs_it
-from pearl_marl.golden.reals import Real
+from pearl_marl.golden import Draws, as_python_runs_it
 from pearl_marl.layout import Layout, leaves
-from pearl_marl.layout.fields import Field
 from pearl_marl.porting.contents import elements
+from pearl_marl.porting.oracle import (
+    DifferenceError,
+    Outcome,
+    Rules,
+    compare,
+    first_unlike,
+    joined,
+    named,
+    unlike_outcomes,
+)
 from pearl_marl.porting.originals import Original
+from pearl_marl.spec import EnvSpec
 
 SEEDS, STEPS = 40, 100
 """Episodes of the original that a part is compared over, and their steps at most."""
 
-SAMPLES, CHANCES, OFTEN = 100, 60, 0.1
-"""Outcomes that are drawn on both sides of a step, how many steps are compared so, and the share of one that
-has to be on both."""
+SAMPLES, CHANCES = 100, 60
+"""Outcomes that are drawn on both sides of a step, and how many steps are compared so."""
+
+REPEATS = 4
+"""How often the original takes a step that has no draws with us."""
 
 STARTS = 400
-
-
-FRACTION = 16
-"""Bits behind the binary point of actions in a ``Box`` where the state has no reals."""
 
 
 def as_numbers(value: Any) -> Any:
@@ -52,19 +58,16 @@ def like(old: Any, numbers: Any) -> Any:
 class Port:
     """Golden functions, as far as there are any, beside the original that they are written after.
 
-    Each method returns what differs first, as a sentence, or ``None``.
+    Each method returns what differs first, as a sentence, or ``None``. States, starts and observations are
+    compared before there is a spec; steps by the oracle contract: :func:`~pearl_marl.porting.oracle.compare`.
     """
 
     original: Original
     state: type
     initial: Callable[..., Any]
-    step: Callable[..., Any]
     observe: Callable[..., Any]
     read: Callable[[Any], Any]
     pose: Callable[[Any, Any], None]
-    rewards: Sequence[float] | None
-    reward_fraction: int = 0
-    """Bits behind the point of rewards that are words: of a state without reals."""
     view: type | None = None
     tolerance: float = 0.0
     """By how much of itself, or of 1, a real may differ."""
@@ -89,12 +92,12 @@ class Port:
             pairs = zip(self._layout.fields, words, strict=True)
             self.pose(other.env, self._layout.built(field.value(word) for field, word in pairs))
             again = self._words(other)
-            wrong = self._difference(again, words)
+            wrong = self._difference(self._values(again), self._values(words))
             if wrong:
                 return f"{where}: posed, the original has other values: {wrong}"
             actions = self.original.actions(rng)
             posed, due = (self._stepped(one, actions, 1) for one in (other, self.original))
-            wrong = self._difference(posed, due)
+            wrong = self._difference(_flat(posed), _flat(due))
             if wrong:
                 return f"{where}: posed, the original goes on otherwise after actions {actions}: {wrong}"
         return None
@@ -103,23 +106,22 @@ class Port:
         """Compare the states that episodes begin in."""
         initial = self._python(self.initial)
         rng = np.random.default_rng(0)
-        ours = [self._flat(initial(self._draws(rng))) for _ in range(STARTS)]
+        ours = [self._values(self._flat(initial(self._draws(rng)))) for _ in range(STARTS)]
         theirs = []
         for seed in range(STARTS):
             self.original.reset(seed)
-            theirs.append(self._words(self.original))
+            theirs.append(self._values(self._words(self.original)))
         if len(set(theirs)) <= STARTS // 10 or len(set(ours)) <= STARTS // 10:
             return self._often(Counter(ours), Counter(theirs), "episodes begin in")
         for field, own, due in zip(self._layout.fields, np.array(ours).T, np.array(theirs).T, strict=True):
             spread = np.hypot(own.std(), due.std()) / np.sqrt(STARTS) + 1e-9
-            scale = 2.0**-field.fraction
             if (
                 abs(own.mean() - due.mean()) > 6 * spread
                 or not 0.7 <= (own.std() + 1e-9) / (due.std() + 1e-9) <= 1.4
             ):
                 return (
-                    f"{field.name} of a start is {own.mean() * scale:.6g} +- {own.std() * scale:.6g}, "
-                    f"the original's {due.mean() * scale:.6g} +- {due.std() * scale:.6g}"
+                    f"{field.name} of a start is {own.mean():.6g} +- {own.std():.6g}, "
+                    f"the original's {due.mean():.6g} +- {due.std():.6g}"
                 )
         return None
 
@@ -148,32 +150,44 @@ class Port:
                         return f"{where}: {what} is {own:g}, the original's {right:g} (in {told})"
         return None
 
-    def wrong_step(self) -> str | None:
-        """Step from each state that the original comes to, by the same actions."""
-        step = self._python(self.step)
+    def wrong_step(self, spec: EnvSpec) -> str | None:
+        """Compare steps from states that the original comes to, by the same actions.
+
+        ``spec`` is that of the environment, which can be made once all parts are written.
+        """
         rng = np.random.default_rng(1)
-        sampled = 0
-        for where in self._reached(leaving=True):
-            state, actions = self._state(), self.original.actions(rng)
-            each = list(map(self._action, actions))
-            given = each if self.original.agents > 1 else each[0]
-            counted = CountingDraws(self._layout.fraction)
-            own = self._outcome(step(state, given, counted))
-            theirs = self._sampled(actions, 1)[0]
-            again = self._sampled(actions, 3)
-            if counted.count == 0 and all(self._difference(theirs, other) is None for other in again):
-                wrong = self._difference(own, theirs)
-                if wrong:
-                    return f"{where}, action {_short(actions)}: {wrong} (from {self._fields_of(state)})"
-            elif sampled < CHANCES:
-                sampled += 1
-                ours = Counter(self._outcome(step(state, given, self._draws(rng))) for _ in range(SAMPLES))
-                wrong = self._often(ours, Counter(self._sampled(actions, SAMPLES)), "a step comes to")
-                if wrong:
-                    return f"{where}, action {_short(actions)}: {wrong} (from {self._fields_of(state)})"
+        times, most = (SAMPLES, CHANCES) if spec.step_draws else (REPEATS, None)
+        words, actions, outcomes = [], [], []
+        for _ in islice(self._reached(leaving=True), most):
+            chosen = self.original.actions(rng)
+            words.append(self._words(self.original))
+            actions.append(chosen)
+            outcomes.append([self._stepped(self.original, chosen, seed) for seed in range(times)])
+        if spec.step_draws:
+            steps = zip(words, actions, map(joined, outcomes), strict=True)
+            found = (unlike_outcomes(spec, *step, rng, self.tolerance) for step in steps)
+            return next(filter(None, found), None)
+        for state, chosen, (first, *again) in zip(words, actions, outcomes, strict=True):
+            if any(self._difference(_flat(other), _flat(first)) for other in again):
+                return (
+                    f"from {named(spec, state)} by action {np.ravel(chosen).tolist()}: the original comes to "
+                    "different states at random, and step() draws nothing"
+                )
+        moves = compare(
+            spec,
+            Rules(lambda *given: joined([first for first, *_ in outcomes])),
+            len(words),
+            state=list(np.array(words).T),
+            actions=np.array(actions),
+            tolerance=self.tolerance,
+        )
+        try:
+            next(moves)
+        except DifferenceError as error:
+            return str(error)
         return None
 
-    # ---- Both sides as tuples: the words of a state, then rewards, then ends ----
+    # ---- Both sides as tuples: the values of a state's fields, then rewards, then ends ----
 
     @functools.cached_property
     def _layout(self) -> Layout:
@@ -192,6 +206,10 @@ class Port:
         """Return the words of the state that an original is in."""
         return self._flat(self.read(original.env))
 
+    def _values(self, words: Sequence[int]) -> tuple[float, ...]:
+        """Return what the words of a state stand for."""
+        return tuple(field.value(word) for field, word in zip(self._layout.fields, words, strict=True))
+
     def _state(self) -> Any:
         """Return the state that the original is in, as a step takes it: reals are rounded to their fields."""
         return self._layout.built(self._words(self.original))
@@ -199,16 +217,6 @@ class Port:
     def _fields_of(self, state: Any) -> str:
         pairs = zip(self._layout.fields, self._flat(state), strict=True)
         return ", ".join(f"{field.name} {field.value(word):.9g}" for field, word in pairs)
-
-    def _action(self, action: Any) -> Any:
-        """Return an action as a step takes it."""
-        parts = np.ravel(action).tolist()
-        fraction = self._layout.fraction
-        if isinstance(self.original.action_space, Box):
-            parts = [
-                round(part * 2**FRACTION) if fraction is None else Real.of(part, fraction) for part in parts
-            ]
-        return parts[0] if len(parts) == 1 else tuple(parts)
 
     def _reached(self, seeds: int = SEEDS, leaving: bool = False) -> Iterator[str]:
         """Say where the original is, at each state that it comes to; with ``leaving`` where it goes on."""
@@ -223,41 +231,30 @@ class Port:
                 if outcome.over:
                     break
 
-    def _stepped(self, original: Original, actions: list[Any], seed: int) -> tuple[Any, ...]:
+    def _stepped(self, original: Original, actions: list[Any], seed: int) -> Outcome:
+        """Return what a copy shows after a step by a seed, and its state; not what it observes."""
         other = original.copied()
         other.reseed(seed)
-        outcome = other.step(actions)
-        return (*self._words(other), *outcome.rewards, *map(bool, outcome.terminated))
+        outcome, names = other.step(actions), (field.name for field in self._layout.fields)
+        state = dict(zip(names, self._values(self._words(other)), strict=True))
+        return outcome._replace(observations=None, truncated=None, state=state)
 
-    def _sampled(self, actions: list[Any], count: int) -> list[tuple[Any, ...]]:
-        return [self._stepped(self.original, actions, seed) for seed in range(count)]
-
-    def _outcome(self, result: Any) -> tuple[Any, ...]:
-        after, rewards, ends = result
-        agents = self.original.agents
-        rewards, ends = ([rewards], [ends]) if agents == 1 else (rewards, ends)
-        if self.rewards is None:
-            worth = [float(reward) * 2.0**-self.reward_fraction for reward in rewards]
-        else:
-            worth = [float(self.rewards[int(category)]) for category in rewards]
-        return (*self._flat(after), *worth, *map(bool, ends))
-
-    def _columns(self) -> list[Field]:
+    @property
+    def _names(self) -> list[str]:
         agents = range(self.original.agents)
         one = self.original.agents == 1
-        rewards = [Field("reward" if one else f"reward of agent {k}", 64) for k in agents]
-        ends = [Field("terminated" if one else f"terminated of agent {k}", 1) for k in agents]
-        return [*self._layout.fields, *rewards, *ends]
+        rewards = ["reward" if one else f"reward of agent {k}" for k in agents]
+        ends = ["terminated" if one else f"terminated of agent {k}" for k in agents]
+        return [*(field.name for field in self._layout.fields), *rewards, *ends]
 
     def _near(self, own: float, due: float) -> bool:
         return abs(own - due) <= self.tolerance * max(1.0, abs(due))
 
     def _difference(self, own: Sequence[Any], due: Sequence[Any]) -> str | None:
         """Return what differs first of what is after a step, or of a state alone."""
-        for field, a, b in zip(self._columns()[: len(own)], own, due, strict=True):
-            scale = 2.0**-field.fraction if field.fraction else 1
-            if not self._near(a * scale, b * scale):
-                return f"{field.name} is {a * scale}, the original's {b * scale}"
+        for name, a, b in zip(self._names[: len(own)], own, due, strict=True):
+            if not self._near(a, b):
+                return f"{name} is {a}, the original's {b}"
         return None
 
     def _often(self, ours: Counter[Any], theirs: Counter[Any], what: str) -> str | None:
@@ -270,32 +267,10 @@ class Port:
         if unlike is None:
             return None
         outcome, own, due = unlike
-        pairs = zip(self._columns()[: len(outcome)], outcome, strict=True)
-        names = ", ".join(f"{field.name} {value}" for field, value in pairs)
+        pairs = zip(self._names[: len(outcome)], outcome, strict=True)
+        names = ", ".join(f"{name} {value}" for name, value in pairs)
         return f"{what} ({names}) with a share of {own:.3f}, the original's is {due:.3f}"
 
 
-def first_unlike(
-    ours: Counter[Any], theirs: Counter[Any], close: Callable[[Any, Any], bool] | None = None
-) -> tuple[Any, float, float] | None:
-    """Return an outcome that is often on one side, and never on the other or much less, and its shares.
-
-    Without ``close``, which tells what counts as the same, outcomes are equal.
-    """
-
-    def share(counts: Counter[Any], outcome: Any) -> float:
-        if close is None:
-            return counts[outcome] / counts.total()
-        return sum(count for other, count in counts.items() if close(other, outcome)) / counts.total()
-
-    for outcome in {**theirs, **ours}:
-        own, due = share(ours, outcome), share(theirs, outcome)
-        both = (own + due) / 2
-        chance = np.sqrt(both * (1 - both) * (1 / ours.total() + 1 / theirs.total()))
-        if (max(own, due) >= OFTEN and min(own, due) == 0) or abs(own - due) > 6 * chance:
-            return outcome, own, due
-    return None
-
-
-def _short(actions: list[Any]) -> str:
-    return str(actions[0] if len(actions) == 1 else actions)
+def _flat(outcome: Outcome) -> tuple[Any, ...]:
+    return (*(outcome.state or {}).values(), *outcome.rewards, *outcome.terminated)

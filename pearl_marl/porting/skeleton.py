@@ -10,7 +10,9 @@ from gymnasium.spaces import Box, Discrete
 from pearl_marl.porting.attributes import Seen, kind_of
 from pearl_marl.porting.originals import Original
 from pearl_marl.porting.package import common_words, filled, own_words, spec_words
-from pearl_marl.porting.port import FRACTION
+
+FRACTION = 16
+"""Bits behind the binary point of actions in a ``Box`` where the state has no reals."""
 
 MOST_REWARDS = 16
 """Different rewards that a table is proposed for."""
@@ -152,7 +154,6 @@ def _spec_words(original: Original, seen: Seen) -> dict[str, str]:
         "@port_more@": "".join(
             f"    {part},\n"
             for part, wanted in (
-                (f"reward_fraction={fraction}", fraction and not seen.reals and not table),
                 ("view=View", view),
                 ("tolerance=1e-5", seen.reals),
                 ("tolerance=0.001", not seen.reals and not seen.whole),

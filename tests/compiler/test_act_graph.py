@@ -15,7 +15,7 @@ from pearl_marl.golden.tracing.nodes import values
 from pearl_marl.policies.golden_policy import GoldenPolicy
 from pearl_marl.spec import EnvSpec
 
-from ..policies.test_golden_policy import balance, brake, catch, drive, up
+from ..policies.rules import balance, brake, catch, drive, up
 from ..toy_world import MEADOW
 
 

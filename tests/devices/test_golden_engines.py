@@ -21,7 +21,7 @@ from pearl_marl.memory_map import ENGINE_KINDS, Engine, Statistics, memory_map
 from pearl_marl.policies.golden_policy import GoldenPolicy
 from pearl_marl.spec import EnvSpec
 
-from ..policies.test_golden_policy import balance, bet, brake, catch, drive, up, walk
+from ..policies.rules import balance, bet, brake, catch, drive, up, walk
 from ..rtl.random_policies import random_table
 from ..toy_fields import RELAY
 from ..toy_world import MEADOW, NIM
@@ -153,7 +153,7 @@ def test_what_cannot_be_built_is_said() -> None:
     with pytest.raises(ArgumentError, match="takes tables of integers, and this policy is a golden function"):
         policy_words(policy, table)
     with pytest.raises(ArgumentError, match=r"is built of its policy, and this one has the number 5: give"):
-        elaboration.sources(SPEC, engine=Engine("golden", function=5))
+        elaboration.sources(SPEC, engine=Engine("golden", stated=5))
     lake = get_spec("FrozenLake")
     with pytest.raises(ArgumentError, match=r"is for CliffWalking-v0 with .*, and the build for FrozenLake"):
         elaboration.sources(lake, engine=golden(policy))
@@ -171,13 +171,13 @@ def test_what_hardware_states_is_read_again() -> None:
         data[:] = memory.view(np.uint8)[offset : offset + data.size]
 
     stated = stated_map(read, SPEC, 7)
-    assert stated == memory_map(SPEC, 7, 4, 32, engine._replace(function=engine.number))
+    assert stated == memory_map(SPEC, 7, 4, 32, engine._replace(function=None, stated=engine.number))
     check_identity("xdma", read, Build(SPEC, stated))
     check_identity("xdma", read, build)
     with pytest.raises(DeviceError, match="another policy engine than this batch has been opened for"):
         check_identity("xdma", read, Build.of(SPEC, 7, 4, 32, other))
     kind = ENGINE_KINDS.index("golden")
-    assert Engine.of_words(kind, engine.words) == engine._replace(function=engine.number)
+    assert Engine.of_words(kind, engine.words) == engine._replace(function=None, stated=engine.number)
     first, *sizes = engine.words
     for words in ([first | 1, *sizes], [first, 0, *sizes[1:]]):
         with pytest.raises(DeviceError, match="states an impossible policy engine"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
 from typing import Any
 from unittest import mock
 
@@ -219,14 +218,6 @@ def test_order() -> None:
     env.reset(seed=0)
     with pytest.raises(OrderError, match="a wrapped environment has no"):
         pearl_marl.wrappers.clip_reward_v0(env).rollout(policy, 5)
-
-
-@pytest.fixture
-def ctrl_c() -> Iterator[None]:
-    # As a program has it: a shell that starts tests may have set another handler.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.usefixtures("ctrl_c")

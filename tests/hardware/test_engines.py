@@ -13,7 +13,7 @@ from pearl_marl.hardware.policy_words import policy_words
 from pearl_marl.memory_map import Engine
 from pearl_marl.policies.golden_policy import GoldenPolicy
 
-from ..policies.test_golden_policy import balance
+from ..policies.rules import balance
 from ..rtl.random_policies import random_network, random_table
 
 

@@ -20,7 +20,7 @@ from pearl_marl.policies.golden_policy import GoldenPolicy
 from pearl_marl.policies.integer_network import IntegerNetwork, table_network
 
 from ..policies.networks import random_network
-from ..policies.test_golden_policy import balance
+from ..policies.rules import balance
 
 Pearl = Callable[..., tuple[int, str, str]]
 

@@ -12,57 +12,11 @@ from pearl_marl import get_spec
 from pearl_marl.devices import BatchConfig, make_device
 from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation.run import Evaluation
-from pearl_marl.golden import Draws
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.golden_policy import GoldenPolicy
 from pearl_marl.policies.loading import load_policy
 
-
-def balance(view: Any, draws: Draws) -> Any:
-    """Push where the pole falls; in one step of sixteen, anywhere."""
-    stumbles, anywhere = draws.below(16) == 0, draws.bits() & 1
-    if stumbles:
-        return anywhere
-    return view.angle + view.angular_velocity > 0
-
-
-def swing(view: Any, draws: Draws) -> Any:
-    """With a real: pump with the speed of the second link."""
-    if view.dtheta2 * 0.5 + view.angles[1] > 0.25:
-        return 2
-    return 0 if view.dtheta2 < 0 else 1
-
-
-def drive(view: Any, draws: Draws) -> Any:
-    """A level of a Box, which is a real."""
-    return 0.75 if view.velocity > 0 else -1.0
-
-
-def brake(view: Any, draws: Draws) -> Any:
-    """A level in fixed point, as the environment is written."""
-    return -(1 << 29) if view.speed > 0 else 3 << 27
-
-
-def walk(place: Any, draws: Draws) -> Any:
-    """Of a word alone."""
-    if place == 36:
-        return 0
-    return 2 if place % 12 == 11 else 1
-
-
-def catch(view: Any, draws: Draws) -> Any:
-    """Of the words behind planes."""
-    return 1 + (view.ball_x > view.paddle_x) - (view.ball_x < view.paddle_x)
-
-
-def up(view: Any, draws: Draws) -> Any:
-    """What masks may forbid."""
-    return draws.below(2)
-
-
-def bet(words: Any, draws: Draws) -> Any:
-    """Of several words, for both players."""
-    return words[0] & 1
+from .rules import balance, bet, brake, catch, drive, swing, up, walk
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from pearl_marl.memory_map import Engine
 from pearl_marl.policies import device_policy
 from pearl_marl.policies.golden_policy import GoldenPolicy
 from pearl_marl.spec import EnvSpec, word_bits
-from tests.policies.test_golden_policy import balance, bet, catch, drive, up
+from tests.policies.rules import balance, bet, catch, drive, up
 
 SIZES = [(1000, 16, 64), (7, 4, 32), (1, 1, 32)]
 # Of large cores so many elements take Verilator long, and show nothing of them that a few do not.

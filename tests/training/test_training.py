@@ -31,6 +31,8 @@ policy = importlib.import_module("pearl_marl.policies.trained")
 trainers = importlib.import_module("pearl_marl.training.trainer")
 actor_critic = importlib.import_module("pearl_marl.training.actor_critic")
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 EVALUATED = 50
 """A thousand episodes take longer than such training."""
 
@@ -57,15 +59,6 @@ OF_WORLDS: dict[str, tuple[str, dict[str, Any]]] = {
     "self-play": ("ConnectFour", {**SMALL["ppo"], "join_every": 2}),
 }
 """Trainers that are for several agents: an environment, and settings."""
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Any:
-    """Sums of several threads may differ."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def run(

@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,18 +24,10 @@ ray = pytest.importorskip("ray", reason="Ray is not installed: pip install '.[ra
 training = importlib.import_module("pearl_marl.training.run")
 distributed = importlib.import_module("pearl_marl.training.workers")
 
-pytestmark = pytest.mark.usefixtures("ray_cluster")
+pytestmark = pytest.mark.usefixtures("ray_cluster", "one_thread")
 
 SMALL = {"n_agents": 16, "rollout_length": 70, "iterations": 3, "minibatch": 256}
 """Of Pendulum, whose episodes of 200 steps are cut short in the last rollout."""
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def trainer(shards: int | None, env_id: str = "Pendulum", **given: Any) -> Any:

@@ -31,6 +31,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecMoni
 
 from ..toy import ENVIRONMENTS
 
+pytestmark = pytest.mark.usefixtures("toys", "one_thread")
+
 MAKERS = {
     "parallel": lambda name, n, **arguments: pearl_marl.parallel_env(name, n, **arguments),
     "vector": lambda name, n, **arguments: pearl_marl.make_vec(name, n, **arguments),
@@ -41,15 +43,6 @@ MAKERS = {
 def make(request: pytest.FixtureRequest) -> Callable[..., Any]:
     """Make an environment of either interface."""
     return MAKERS[request.param]
-
-
-@pytest.fixture(autouse=True)
-def _one_thread(toys: None) -> Any:
-    """Float sums of several threads may differ from run to run, and with them what is learned."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def monitored(name: str, n: int, max_cycles: int) -> DummyVecEnv:

@@ -3,17 +3,15 @@
 from pearl_marl.porting import Port
 
 from my_environment.original import original, pose, read
-from my_environment.step import REWARDS, State, @imported_view@initial, observe, step
+from my_environment.step import State, @imported_view@initial, observe
 
 PORT = Port(
     original(),
     State,
     initial,
-    step,
     observe,
     read,
     pose,
-    REWARDS,
 @port_more@)
 
 
@@ -36,4 +34,6 @@ def test_3_observations_are_the_originals() -> None:
 
 def test_4_steps_are_the_originals() -> None:
     """Next state, reward and end, from states that the original comes to by random actions."""
-    assert PORT.wrong_step() is None
+    from my_environment.spec import SPEC  # which takes all parts
+
+    assert PORT.wrong_step(SPEC) is None
