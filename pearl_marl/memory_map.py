@@ -175,7 +175,7 @@ class Statistics(IntEnum):
     """From here on, :attr:`Engine.words`; its kind is in the control region."""
 
 
-STATISTICS_WORDS = 22
+STATISTICS_WORDS = 23
 
 
 class Section(IntEnum):
@@ -201,14 +201,15 @@ ENTRIES = 1024
 """Numbers in a table of activations or chances."""
 
 
-ENGINE_KINDS = ("none", "table", "network", "golden")
+ENGINE_KINDS = ("none", "table", "network", "golden", "planes")
 
 
 class Engine(NamedTuple):
     """The policy engine of a build: what is the largest policy that it takes, and how fast it is."""
 
     kind: str = "network"
-    """``"network"``, ``"table"``, or ``"golden"``: a golden function, which is a part of the design."""
+    """``"network"``, ``"table"``, ``"golden"``: a golden function, which is a part of the design; or
+    ``"planes"``: a network behind filters of pictures whose elements are 0 and 1."""
     drawn: bool = False
     """Of a network or a table: whether it is able to draw actions; if not, it takes the best."""
     table_rows: int = 1
@@ -227,6 +228,8 @@ class Engine(NamedTuple):
     weight_bits: int = 8
     value_bits: int = 12
     """Width of what weights are multiplied by, sign included: inputs, and outputs of layers."""
+    filters: int = 1
+    """Of a network on planes: the most filters."""
     function: GoldenPolicy | int = 0
     """The policy of a golden function; of an engine that hardware states, its number alone."""
 
@@ -263,9 +266,21 @@ class Engine(NamedTuple):
             )
         return cls(name, bool(drawn), *sizes)._replace(function=number)
 
+    @property
+    def is_network(self) -> bool:
+        """Whether it computes layers, be it of numbers or of planes."""
+        return self.kind in ("network", "planes")
+
+    def inputs(self, spec: EnvSpec) -> int:
+        """Return how many inputs its first layer has; of planes, filters of a patch fill whole words."""
+        if self.kind != "planes":
+            return len(spec.observation)
+        rows, columns, _ = spec.observation_shape
+        return (rows - 2) * (columns - 2) * -(-self.filters // self.products) * self.products
+
     def weight_words(self, spec: EnvSpec) -> int:
         """Return how many words of weights it has room for, each with those of ``products`` products."""
-        sizes = [len(spec.observation), *[self.hidden] * (self.layers - 1), sum(spec.action_counts)]
+        sizes = [self.inputs(spec), *[self.hidden] * (self.layers - 1), sum(spec.action_counts)]
         return sum(-(-sizes[k] // self.products) * sizes[k + 1] for k in range(self.layers))
 
     def index_bits(self, spec: EnvSpec) -> int:
@@ -275,9 +290,12 @@ class Engine(NamedTuple):
         largest += [2 << spec.reward.bits] if spec.rewards else []
         if self.kind == "table":
             largest.append(self.table_rows << (actions - 1).bit_length())
-        elif self.kind == "network":
-            chunks = -(-len(spec.observation) // self.products)
-            largest.append(2 * chunks << (self.products - 1).bit_length())
+        elif self.is_network:
+            if self.kind == "planes":
+                words, numbers = -(-self.filters // self.products), 9 * spec.observation_shape[2] + 1
+            else:
+                words, numbers = -(-len(spec.observation) // self.products), 2
+            largest.append(words << (self.products - 1).bit_length() + (numbers - 1).bit_length())
             columns = -(-self.products * self.weight_bits // 32)
             largest += [self.weight_words(spec) << (columns - 1).bit_length()]
             largest += [(self.layers - 1) * self.hidden + actions, 4 + 2 * self.layers]

@@ -100,7 +100,7 @@ def plan_rollouts(
         engine = with_engine(plain, policy).layout.engine
         assert engine is not None
         left = None if part is None else part.dsp - dsp.of(count)
-        if engine.kind == "network":
+        if engine.is_network:
             side = MOST_SIDE
             if left is not None:
                 none = engine_dsp(engine._replace(side=0), spec, count, target)
@@ -111,10 +111,7 @@ def plan_rollouts(
             continue
         took = cycles(plain.layout, engine)
         limit = "cores"
-        if (
-            engine.kind == "network"
-            and cycles(plain.layout, engine._replace(side=2 * engine.side)) * NEAR < took
-        ):
+        if engine.is_network and cycles(plain.layout, engine._replace(side=2 * engine.side)) * NEAR < took:
             limit = "engine"
         layout = memory_map(spec, n_envs, count, plain.layout.data_wl, engine)
         rate = n_envs * spec.agents / took * clock
