@@ -128,8 +128,8 @@ module pearl_patches
 
   // ---- Each filter of a word ----
 
-  logic [TAP_BITS-1:0] write_tap;
-  logic [ WORD_BITS-1:0] write_word;
+  logic [ TAP_BITS-1:0] write_tap;
+  logic [WORD_BITS-1:0] write_word;
   assign write_tap  = index_i[TAP_BITS-1:0];
   assign write_word = WORD_BITS'(32'(index_i) >> (TAP_BITS + COLUMN_BITS));
 

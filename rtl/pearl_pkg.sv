@@ -55,9 +55,9 @@ package pearl_pkg;
 
   // The status's error word, least significant bit last.
   typedef struct packed {
-    logic reset;          // no word of the control region has been written since the hardware's reset
-    logic torn_read;      // the first word of results has not been read since the last step
-    logic busy_write;     // a write came during a step and was refused
+    logic reset;  // no word of the control region has been written since the hardware's reset
+    logic torn_read;  // the first word of results has not been read since the last step
+    logic busy_write;  // a write came during a step and was refused
     logic busy_doorbell;  // a doorbell came during a step and was refused
   } error_t;
 

@@ -15,8 +15,8 @@ module pearl_planes
     input logic [ INDEX_BITS-1:0] index_i,
     input logic [           31:0] wdata_i,
 
-    input logic                                    valid_i,
-    input logic                                    last_i,
+    input logic                                valid_i,
+    input logic                                last_i,
     input logic [ROWS-1:0][AGENT_OBS_BITS-1:0] obs_i,
 
     output logic                                          valid_o,
