@@ -182,8 +182,8 @@ class Section(IntEnum):
     """The sections of the policy region; each has as many words as the largest."""
 
     SETTINGS = 0
-    """How actions are chosen; the number of the last layer; the limit of inputs, or the table's first row; an
-    unused word; then two for each layer."""
+    """How actions are chosen; the number of the last layer; the limit of inputs, or the table's first row;
+    the shift of the sums of patches; then two for each layer."""
     BIASES = 1
     ACTIVATION = 2
     """The table for the sums of layers that have one: it is the same for all of them."""
@@ -191,7 +191,8 @@ class Section(IntEnum):
     QUANTA = 4
     """What each category of rewards counts, a signed whole number of 40 bits: its lower 32 bits first."""
     SCALINGS = 5
-    """Of each element its offset, and its shift above its multiplier; for a table, its factor."""
+    """Of each element its offset, and its shift above its multiplier; for a table, its factor; for planes,
+    the weights of each filter and its bias."""
     WEIGHTS = 6
     """The weights, or the table."""
 
@@ -275,6 +276,11 @@ class Engine(NamedTuple):
         """Return how many inputs its first layer has; of planes, filters of a patch fill whole words."""
         if self.kind != "planes":
             return len(spec.observation)
+        if len(spec.observation_shape) != 3 or min(spec.observation_shape[:2]) < 3:
+            raise ArgumentError(
+                f"the policy engine takes pictures of planes, 3 by 3 at least, and observations of {spec.id} "
+                f"have the shape {spec.observation_shape}; take another kind of engine"
+            )
         rows, columns, _ = spec.observation_shape
         return (rows - 2) * (columns - 2) * -(-self.filters // self.products) * self.products
 
@@ -291,13 +297,13 @@ class Engine(NamedTuple):
         if self.kind == "table":
             largest.append(self.table_rows << (actions - 1).bit_length())
         elif self.is_network:
+            columns = -(-self.products * self.weight_bits // 32)
+            largest += [self.weight_words(spec) << (columns - 1).bit_length()]
             if self.kind == "planes":
                 words, numbers = -(-self.filters // self.products), 9 * spec.observation_shape[2] + 1
             else:
                 words, numbers = -(-len(spec.observation) // self.products), 2
             largest.append(words << (self.products - 1).bit_length() + (numbers - 1).bit_length())
-            columns = -(-self.products * self.weight_bits // 32)
-            largest += [self.weight_words(spec) << (columns - 1).bit_length()]
             largest += [(self.layers - 1) * self.hidden + actions, 4 + 2 * self.layers]
         return SECTION_BITS + (max(largest) - 1).bit_length()
 

@@ -22,6 +22,7 @@ from pearl_marl.policies.integer_network import (
     Scaling,
 )
 from pearl_marl.spec import EnvSpec
+from pearl_marl.spec.elements import bounds
 
 Words = npt.NDArray[np.uint32]
 
@@ -106,9 +107,9 @@ _TAKES = {"table": "tables", "network": "networks", "planes": "networks on plane
 
 def _network(policy: IntegerNetwork, inputs: Scaling | Patches, engine: Engine) -> dict[Section, Words]:
     layers = policy.layers
-    due = "planes" if isinstance(inputs, Patches) else "network"
-    if engine.kind != due:
-        raise _refusal(f"takes {_TAKES[engine.kind]}, and this policy is a {_TAKES[due].replace('s', '', 1)}")
+    kind, place = ("planes", " on planes") if isinstance(inputs, Patches) else ("network", "")
+    if engine.kind != kind:
+        raise _refusal(f"takes {_TAKES[engine.kind]}, and this policy is a network{place}")
     if len(policy.indicator):
         raise _refusal("does not tell the agents of a world apart, and this policy does")
     if len(layers) > engine.layers:
@@ -118,7 +119,7 @@ def _network(policy: IntegerNetwork, inputs: Scaling | Patches, engine: Engine) 
             raise _refusal(f"has layers of {engine.hidden} units, and this policy one of {len(layer.bias)}")
     _fit(np.array([inputs.limit]), engine.value_bits, "inputs")
     if isinstance(inputs, Patches):
-        filters, shift = filter_words(inputs, engine), inputs.shift
+        filters, shift = filter_words(policy.spec, inputs, engine), inputs.shift
         layers = (_padded(layers[0], inputs, engine), *layers[1:])
     else:
         filters, shift = _checked_scaling(inputs, engine), 0
@@ -155,13 +156,15 @@ def _checked_scaling(inputs: Scaling, engine: Engine) -> Words:
     return scaling_words(inputs, engine.products)
 
 
-def filter_words(inputs: Patches, engine: Engine) -> Words:
+def filter_words(spec: EnvSpec, inputs: Patches, engine: Engine) -> Words:
     """Return the words of filters: of each its weights, a word each, and its bias.
 
     A filter begins at a multiple of a power of two, and so do each ``products`` filters. Those that a policy
     does not have are 0.
     """
-    count = len(inputs.bias)
+    count, greatest = len(inputs.bias), int(bounds(spec.observation_space)[1].max())
+    if greatest > 1:
+        raise _refusal(f"takes planes of 0 and 1, and observations of {spec.id} reach {greatest}")
     if count > engine.filters:
         raise _refusal(f"has {engine.filters} filters, and this policy {count}")
     _fit(inputs.weights, engine.weight_bits, "weights")

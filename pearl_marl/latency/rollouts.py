@@ -39,8 +39,8 @@ def rollout_step_cycles(
     """Return the clock cycles by which a rollout is longer if it has one step more.
 
     It is what ``Rtl.cycles`` counts of a pipelined device. ``sizes`` are the widths of the network, as
-    :func:`batch_cycles` takes them; other engines have none. Each step takes the groups past the cores
-    twice, and begins when the last of the step before is in the sums.
+    :func:`batch_cycles` takes them, with the inputs of :meth:`Engine.inputs`; other engines have none. Each
+    step takes the groups past the cores twice, and begins when the last of the step before is in the sums.
     Where a batch is computed sooner than the next one comes in, it may be a few per cent too low.
     """
     if layout.engine is None:

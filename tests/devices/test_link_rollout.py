@@ -266,6 +266,9 @@ def test_what_an_engine_does_not_take_is_said() -> None:
     )
     assert policy_words(network, NETWORK)
     assert policy_words(table, TABLE)
+    planes = random_planes(random, get_spec("Breakout"), 6, [8, 8], drawn=True)
+    assert policy_words(planes, PLANES)
+    colours = random_planes(random, get_spec("MiniGridEmpty"), 6, [8, 8], drawn=True)
     wide = dataclasses.replace(table, layers=(table.layers[0]._replace(bias=np.full(4, 200, np.int32)),))
     two = tuple(
         layer._replace(activation=np.full(1024, k, np.int16)) for k, layer in enumerate(network.layers[:2])
@@ -274,6 +277,12 @@ def test_what_an_engine_does_not_take_is_said() -> None:
         (network, NETWORK._replace(drawn=False), "takes the best action, and this policy draws"),
         (network, TABLE, "takes tables, and this policy is a network"),
         (table, NETWORK, "takes networks, and this policy is a table"),
+        (network, PLANES, "takes networks on planes, and this policy is a network;"),
+        (planes, NETWORK, "the host unpacks those of Breakout-v.; take Engine..planes"),
+        (planes, TABLE, "the host unpacks those of Breakout-v.; take Engine..planes"),
+        (colours, PLANES, "takes planes of 0 and 1, and observations of MiniGridEmpty.* reach 255;"),
+        (planes, PLANES._replace(filters=5), "has 5 filters, and this policy 6"),
+        (planes, PLANES._replace(weight_bits=4), "has weights of 4 bits, and this policy has"),
         (network, NETWORK._replace(layers=2), "has 2 layers, and this policy 3"),
         (network, NETWORK._replace(hidden=4), "has layers of 4 units, and this policy one of 8"),
         (network, NETWORK._replace(weight_bits=4), "has weights of 4 bits, and this policy has"),
@@ -292,6 +301,10 @@ def test_what_an_engine_does_not_take_is_said() -> None:
         object.__setattr__(of_env, "spec", get_spec(env))
         with pytest.raises(ArgumentError, match=sentence):
             policy_words(of_env, NETWORK)
+    with pytest.raises(
+        ArgumentError, match=r"observations of CartPole-v. have the shape \(4,\); take another"
+    ):
+        memory_map(cart, 4, 4, 64, PLANES)
 
 
 def test_rewards_become_whole_numbers() -> None:
