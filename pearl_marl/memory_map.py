@@ -175,15 +175,15 @@ class Statistics(IntEnum):
     """From here on, :attr:`Engine.words`; its kind is in the control region."""
 
 
-STATISTICS_WORDS = 22
+STATISTICS_WORDS = 23
 
 
 class Section(IntEnum):
     """The sections of the policy region; each has as many words as the largest."""
 
     SETTINGS = 0
-    """How actions are chosen; the number of the last layer; the limit of inputs, or the table's first row; an
-    unused word; then two for each layer."""
+    """How actions are chosen; the number of the last layer; the limit of inputs, or the table's first row;
+    the shift of the sums of patches; then two for each layer."""
     BIASES = 1
     ACTIVATION = 2
     """The table for the sums of layers that have one: it is the same for all of them."""
@@ -191,7 +191,8 @@ class Section(IntEnum):
     QUANTA = 4
     """What each category of rewards counts, a signed whole number of 40 bits: its lower 32 bits first."""
     SCALINGS = 5
-    """Of each element its offset, and its shift above its multiplier; for a table, its factor."""
+    """Of each element its offset, and its shift above its multiplier; for a table, its factor; for planes,
+    the weights of each filter and its bias."""
     WEIGHTS = 6
     """The weights, or the table."""
 
@@ -201,14 +202,15 @@ ENTRIES = 1024
 """Numbers in a table of activations or chances."""
 
 
-ENGINE_KINDS = ("none", "table", "network", "golden")
+ENGINE_KINDS = ("none", "table", "network", "golden", "planes")
 
 
 class Engine(NamedTuple):
     """The policy engine of a build: what is the largest policy that it takes, and how fast it is."""
 
     kind: str = "network"
-    """``"network"``, ``"table"``, or ``"golden"``: a golden function, which is a part of the design."""
+    """``"network"``, ``"table"``, ``"golden"``: a golden function, which is a part of the design; or
+    ``"planes"``: a network behind filters of pictures whose elements are 0 and 1."""
     drawn: bool = False
     """Of a network or a table: whether it is able to draw actions; if not, it takes the best."""
     table_rows: int = 1
@@ -227,6 +229,8 @@ class Engine(NamedTuple):
     weight_bits: int = 8
     value_bits: int = 12
     """Width of what weights are multiplied by, sign included: inputs, and outputs of layers."""
+    filters: int = 1
+    """Of a network on planes: the most filters."""
     function: GoldenPolicy | None = None
     """The policy of a golden function that hardware is built of."""
     stated: int = 0
@@ -268,9 +272,26 @@ class Engine(NamedTuple):
             )
         return cls(name, bool(drawn), *sizes)._replace(stated=number)
 
+    @property
+    def is_network(self) -> bool:
+        """Whether it computes layers, be it of numbers or of planes."""
+        return self.kind in ("network", "planes")
+
+    def inputs(self, spec: EnvSpec) -> int:
+        """Return how many inputs its first layer has; of planes, filters of a patch fill whole words."""
+        if self.kind != "planes":
+            return len(spec.observation)
+        if len(spec.observation_shape) != 3 or min(spec.observation_shape[:2]) < 3:
+            raise ArgumentError(
+                f"the policy engine takes pictures of planes, 3 by 3 at least, and observations of {spec.id} "
+                f"have the shape {spec.observation_shape}; take another kind of engine"
+            )
+        rows, columns, _ = spec.observation_shape
+        return (rows - 2) * (columns - 2) * -(-self.filters // self.products) * self.products
+
     def weight_words(self, spec: EnvSpec) -> int:
         """Return how many words of weights it has room for, each with those of ``products`` products."""
-        sizes = [len(spec.observation), *[self.hidden] * (self.layers - 1), sum(spec.action_counts)]
+        sizes = [self.inputs(spec), *[self.hidden] * (self.layers - 1), sum(spec.action_counts)]
         return sum(-(-sizes[k] // self.products) * sizes[k + 1] for k in range(self.layers))
 
     def index_bits(self, spec: EnvSpec) -> int:
@@ -280,11 +301,14 @@ class Engine(NamedTuple):
         largest += [2 << spec.reward.bits] if spec.rewards else []
         if self.kind == "table":
             largest.append(self.table_rows << (actions - 1).bit_length())
-        elif self.kind == "network":
-            chunks = -(-len(spec.observation) // self.products)
-            largest.append(2 * chunks << (self.products - 1).bit_length())
+        elif self.is_network:
             columns = -(-self.products * self.weight_bits // 32)
             largest += [self.weight_words(spec) << (columns - 1).bit_length()]
+            if self.kind == "planes":
+                words, numbers = -(-self.filters // self.products), 9 * spec.observation_shape[2] + 1
+            else:
+                words, numbers = -(-len(spec.observation) // self.products), 2
+            largest.append(words << (self.products - 1).bit_length() + (numbers - 1).bit_length())
             largest += [(self.layers - 1) * self.hidden + actions, 4 + 2 * self.layers]
         return SECTION_BITS + (max(largest) - 1).bit_length()
 

@@ -34,7 +34,7 @@ package pearl_pkg;
   localparam int unsigned CONTROL_WORDS = 16;
   localparam int unsigned DOORBELL_WORDS = 2;
   localparam int unsigned STATUS_WORDS = 3;
-  localparam int unsigned STATISTICS_WORDS = 22;
+  localparam int unsigned STATISTICS_WORDS = 23;
   localparam int unsigned CONTROL_SEED_0 = 8;
   localparam int unsigned CONTROL_SEED_1 = 9;
   localparam int unsigned CONTROL_TICK_LOW = 10;
@@ -55,9 +55,9 @@ package pearl_pkg;
 
   // The status's error word, least significant bit last.
   typedef struct packed {
-    logic reset;          // no word of the control region has been written since the hardware's reset
-    logic torn_read;      // the first word of results has not been read since the last step
-    logic busy_write;     // a write came during a step and was refused
+    logic reset;  // no word of the control region has been written since the hardware's reset
+    logic torn_read;  // the first word of results has not been read since the last step
+    logic busy_write;  // a write came during a step and was refused
     logic busy_doorbell;  // a doorbell came during a step and was refused
   } error_t;
 
@@ -66,7 +66,8 @@ package pearl_pkg;
     NoEngine,
     TableEngine,
     NetworkEngine,
-    GoldenEngine
+    GoldenEngine,
+    PlanesEngine
   } engine_e;
 
   // The policy region has a number of 32 bits in every word, in sections of a power of two words each.
@@ -82,10 +83,11 @@ package pearl_pkg;
   } section_e;
   localparam int unsigned SECTION_BITS = 3;
   // Of the settings by their index: how actions are chosen, layers there are, the limit of inputs or the table's
-  // first row; and from SETTING_LAYERS on two for each layer.
+  // first row; by how much the sums of patches are shifted; and from SETTING_LAYERS on two for each layer.
   localparam int unsigned SETTING_HEAD = 0;
   localparam int unsigned SETTING_COUNT = 1;
   localparam int unsigned SETTING_INPUT = 2;
+  localparam int unsigned SETTING_SHIFT = 3;
   localparam int unsigned SETTING_LAYERS = 4;
 
   // Numbers in a table of activations, or of the weights of chances; and widths of these, of sums, of what rewards

@@ -112,36 +112,57 @@ module pearl_policy
 
   logic [ROWS-1:0][ACTIONS-1:0][LOGIT_BITS-1:0] logits;
 
-  if (ENGINE == NetworkEngine) begin : gen_network
+  if (ENGINE == NetworkEngine || ENGINE == PlanesEngine) begin : gen_network
     logic inputs_valid, inputs_last;
     logic [ROWS-1:0][PRODUCTS-1:0][VALUE_BITS-1:0] inputs;
 
-    pearl_scaling #(
-        .ROWS        (ROWS),
-        .ELEMENTS    (ELEMENTS),
-        .ELEMENT_BITS(ELEMENT_BITS),
-        .PRODUCTS    (PRODUCTS),
-        .VALUE_BITS  (VALUE_BITS),
-        .INDEX_BITS  (SECTION_INDEX_BITS)
-    ) u_scaling (
-        .clk_i,
-        .rst_ni,
-        .we_i      (we_q),
-        .index_i   (index_q),
-        .wdata_i   (wdata_q),
-        .valid_i,
-        .last_i,
-        .elements_i(elements),
-        .valid_o   (inputs_valid),
-        .last_o    (inputs_last),
-        .values_o  (inputs)
-    );
+    if (ENGINE == PlanesEngine) begin : gen_planes
+      pearl_planes #(
+          .ROWS      (ROWS),
+          .INDEX_BITS(SECTION_INDEX_BITS)
+      ) u_planes (
+          .clk_i,
+          .rst_ni,
+          .we_i    (we_q),
+          .index_i (index_q),
+          .wdata_i (wdata_q),
+          .valid_i,
+          .last_i,
+          .obs_i,
+          .valid_o (inputs_valid),
+          .last_o  (inputs_last),
+          .values_o(inputs)
+      );
+      logic unused_elements;
+      assign unused_elements = ^elements;
+    end else begin : gen_numbers
+      pearl_scaling #(
+          .ROWS        (ROWS),
+          .ELEMENTS    (ELEMENTS),
+          .ELEMENT_BITS(ELEMENT_BITS),
+          .PRODUCTS    (PRODUCTS),
+          .VALUE_BITS  (VALUE_BITS),
+          .INDEX_BITS  (SECTION_INDEX_BITS)
+      ) u_scaling (
+          .clk_i,
+          .rst_ni,
+          .we_i      (we_q),
+          .index_i   (index_q),
+          .wdata_i   (wdata_q),
+          .valid_i,
+          .last_i,
+          .elements_i(elements),
+          .valid_o   (inputs_valid),
+          .last_o    (inputs_last),
+          .values_o  (inputs)
+      );
+    end
 
     pearl_network #(
         .GROUP       (ROWS),
         .SIDE        (SIDE),
         .ROUNDS      (ROUNDS),
-        .INPUTS      (ELEMENTS),
+        .INPUTS      (INPUTS),
         .HIDDEN      (HIDDEN),
         .OUTPUTS     (ACTIONS),
         .LAYERS      (LAYERS),

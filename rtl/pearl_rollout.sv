@@ -72,10 +72,11 @@ module pearl_rollout
 );
 
   // Groups that may be under way: two batches of a network; else as many as fill the way there and back.
+  localparam bit LAYERED = ENGINE == NetworkEngine || ENGINE == PlanesEngine;
   localparam int unsigned WAY = ENGINE == GoldenEngine ? ACT_LATENCY : 2 * ACTIONS;
   localparam int unsigned WAY_CREDITS = 1 << $clog2(DEPTH + WAY + 48);
-  localparam int unsigned CREDITS = ENGINE == NetworkEngine ? 2 * SIDE * ROUNDS : WAY_CREDITS;
-  localparam int unsigned OBSERVE_II = ENGINE == NetworkEngine ? ceil_div(ELEMENTS, PRODUCTS) : 1;
+  localparam int unsigned CREDITS = LAYERED ? 2 * SIDE * ROUNDS : WAY_CREDITS;
+  localparam int unsigned OBSERVE_II = LAYERED ? ceil_div(INPUTS, PRODUCTS) : 1;
 
   logic [31:0] steps_done;
   logic [63:0] cycles;
@@ -240,6 +241,7 @@ module pearl_rollout
 
   // Behind the sums, what the engine is.
   assign words = STATISTICS_BITS'({
+    FILTERS,
     VALUE_BITS,
     WEIGHT_BITS,
     LAYERS,

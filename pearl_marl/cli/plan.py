@@ -160,7 +160,7 @@ def _for_rollouts(
     grid.add_column("limit", no_wrap=True)
     for candidate in sorted(found, key=lambda one: one.layout.pe_num):
         engine, chosen = candidate.layout.engine, candidate is best
-        side = "-" if engine is None or engine.kind != "network" else f"{engine.side:,}"
+        side = "-" if engine is None or not engine.is_network else f"{engine.side:,}"
         figures = (candidate.layout.pe_num, candidate.cycles, candidate.core_dsp, candidate.engine_dsp)
         pes, cycles, cores, multipliers = (f"{figure:,}" for figure in figures)
         limit = f"{candidate.limit}{' (chosen)' if chosen else ''}"

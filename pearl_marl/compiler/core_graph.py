@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -11,6 +12,7 @@ from pearl_marl.golden import GoldenFunction
 from pearl_marl.golden.tracing.graph import Graph
 from pearl_marl.golden.tracing.nodes import Node
 from pearl_marl.golden.tracing.trace import trace
+from pearl_marl.layout.positional import row_of
 from pearl_marl.spec import TERMINATED, EnvSpec, Field, word_bits
 
 
@@ -102,6 +104,24 @@ def act_graph(spec: EnvSpec, act: GoldenFunction, draws: int) -> CoreGraph:
             graph, [graph.choose(allowed, words[0], _first(graph, masks)[1])], spec.action_fields
         )
     return CoreGraph(graph, _packed("action_o", spec.action_fields, words))
+
+
+def show_graph(spec: EnvSpec) -> CoreGraph:
+    """Return the graph of a picture: from the words that an agent is shown to its elements, a bit each.
+
+    Raises
+    ------
+    ArgumentError
+        ``unpack()`` does what no hardware can; the message names the file and the line.
+    """
+    graph = Graph()
+    shown = [graph.input(f"obs_i.{f.name}", f.bits, f.signed, *f.range) for f in spec.agent_fields]
+    elements = [Field(f"element_{k}", 1) for k in range(math.prod(spec.observation_shape))]
+    nodes = shown
+    if spec.positional.unpack is not None:
+        nodes = trace(graph, row_of(spec.positional.unpack, len(elements)), shown[: len(spec.observation)])
+    nodes = _narrowed(graph, nodes[: len(elements)], elements)
+    return CoreGraph(graph, _packed("picture_o", elements, nodes))
 
 
 def _first(graph: Graph, flags: Sequence[Node]) -> tuple[Node, Node]:

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-from pearl_marl.compiler.core_graph import Output, act_graph, core_graph
+from pearl_marl.compiler.core_graph import Output, act_graph, core_graph, show_graph
 from pearl_marl.compiler.drawing import drawing
 from pearl_marl.compiler.lowering import lowered
 from pearl_marl.compiler.scheduling import Schedule, scheduled
 from pearl_marl.compiler.targets import Target
-from pearl_marl.compiler.verilog import act_system_verilog, system_verilog
+from pearl_marl.compiler.verilog import act_system_verilog, show_system_verilog, system_verilog
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.golden.tracing.nodes import in_order
 from pearl_marl.spec import EnvSpec, snake_case
@@ -65,6 +65,18 @@ def generated_act(spec: EnvSpec, act: GoldenFunction, draws: int, target: Target
     schedule = scheduled(outputs, target)
     text = act_system_verilog(spec, draws, ACT, outputs, schedule, _about(spec, target))
     return _core(text, f"A policy for {spec.name}", outputs, schedule)
+
+
+SHOW = "pearl_show"
+"""The module that makes pictures of words, and with ``_pkg`` its package: a build has one at most."""
+
+
+def generated_show(spec: EnvSpec, target: Target) -> Core:
+    """Return the core of a spec's pictures, :func:`pearl_marl.compiler.core_graph.show_graph`."""
+    outputs = lowered(*show_graph(spec), target)
+    schedule = scheduled(outputs, target)
+    text = show_system_verilog(spec, SHOW, outputs, schedule, _about(spec, target))
+    return _core(text, f"A picture of {spec.name}", outputs, schedule)
 
 
 def _about(spec: EnvSpec, target: Target) -> list[str]:

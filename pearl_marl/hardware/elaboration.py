@@ -16,7 +16,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pearl_marl.base.cache import cache_folder
 from pearl_marl.base.files import write_whole
-from pearl_marl.compiler.cores import ACT, Core, core_name, generated_act, generated_core
+from pearl_marl.compiler.cores import (
+    ACT,
+    SHOW,
+    Core,
+    core_name,
+    generated_act,
+    generated_core,
+    generated_show,
+)
 from pearl_marl.compiler.loading import fingerprint
 from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
@@ -128,6 +136,25 @@ def _act_core(policy: GoldenPolicy, target: Target) -> Core:
     return generated_act(policy.spec, policy.of_words, policy.draws, target)
 
 
+def show_core(spec: EnvSpec, target: Target = TARGET) -> Core:
+    """Return the core that makes pictures of what agents are shown, for an engine for networks on planes.
+
+    Raises
+    ------
+    ArgumentError
+        ``unpack()`` does what no hardware can; the message names the file and the line.
+    """
+    unpack = None if spec.unpack is None else fingerprint(spec.unpack)
+    key = repr((spec.id, spec.options, spec.agent_fields, spec.observation_shape, unpack, target))
+    if key not in _shown:
+        _shown[key] = generated_show(spec, target)
+    return _shown[key]
+
+
+_shown: dict[str, Core] = {}
+"""Their cores, likewise."""
+
+
 WRAPPER = "pearl_core.sv"
 """The file that ties a core to the backbone: :func:`core_wrapper`."""
 
@@ -163,7 +190,8 @@ def core_wrapper(spec: EnvSpec, engine: Engine | None = None, target: Target = T
 def _engine_constants(spec: EnvSpec, engine: Engine | None, target: Target) -> dict[str, object]:
     """Return the constants of the engine's package; of no engine, the least that are legal."""
     shape, fields = engine or Engine(), spec.observation
-    golden = shape.kind == "golden"
+    golden, pictures = shape.kind == "golden", shape.kind == "planes"
+    height, width, planes = spec.observation_shape if pictures else (3, 3, 1)
     offsets = [word_bits(fields[:k]) for k in range(len(fields))]
     return {
         "engine": "NoEngine" if engine is None else f"{engine.kind.title()}Engine",
@@ -188,6 +216,12 @@ def _engine_constants(spec: EnvSpec, engine: Engine | None, target: Target) -> d
         "layers": shape.layers,
         "weight_bits": shape.weight_bits,
         "value_bits": shape.value_bits,
+        "inputs": shape.inputs(spec),
+        "height": height,
+        "width": width,
+        "planes": planes,
+        "filters": shape.filters,
+        "show_latency": show_core(spec, target).latency if pictures else 1,
         "weight_words": shape.weight_words(spec),
         "act_draws": shape.draws if golden else 0,
         "act_latency": act_core(spec, shape, target).latency if golden else 1,
@@ -209,6 +243,8 @@ def sources(spec: EnvSpec, target: Target = TARGET, engine: Engine | None = None
     cores = [core_path(spec, target)]
     if engine is not None and engine.kind == "golden":
         cores.append(_kept(act_core(spec, engine, target).text, f"{ACT}.sv"))
+    if engine is not None and engine.kind == "planes":
+        cores.append(_kept(show_core(spec, target).text, f"{SHOW}.sv"))
     return [package, *cores, _kept(core_wrapper(spec, engine, target), WRAPPER), *rest]
 
 

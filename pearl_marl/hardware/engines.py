@@ -13,7 +13,7 @@ from pearl_marl.hardware.policy_words import policy_words
 from pearl_marl.memory_map import Engine, MemoryMap, memory_map
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.golden_policy import GoldenPolicy
-from pearl_marl.policies.integer_network import IntegerNetwork, Rows, Scaling
+from pearl_marl.policies.integer_network import IntegerNetwork, Patches, Rows
 
 PRODUCTS = 8
 """Of each agent in a cycle."""
@@ -65,29 +65,33 @@ def _engine(policy: DevicePolicy, layout: MemoryMap) -> Engine:
                 table_rows=1 << max(0, (rows - 1).bit_length()),
                 logit_bits=max(LEAST.logit_bits, -(-_bits(logits) // 4) * 4),
             )
-        elif isinstance(policy.inputs, Scaling):
+        else:
             engine = _network(policy, drawn, layout)
     policy_words(policy, engine)  # refuses what no engine takes
     return engine
 
 
 def _network(policy: IntegerNetwork, drawn: bool, layout: MemoryMap) -> Engine:
-    assert isinstance(policy.inputs, Scaling)
-    layers = policy.layers
-    values = [policy.inputs.limit, *(layer.limit for layer in layers[:-1])]
+    inputs, layers = policy.inputs, policy.layers
+    assert not isinstance(inputs, Rows)
+    weights = [layer.weights for layer in layers]
+    values = [inputs.limit, *(layer.limit for layer in layers[:-1])]
     values += [
         int(edge) for layer in layers[:-1] if len(layer.activation) for edge in _edges(layer.activation)
     ]
     rounds = min(ROUNDS if len(layers) > 1 else 1, layout.groups)
+    if isinstance(inputs, Patches):
+        weights.append(inputs.weights)
     return Engine(
-        "network",
+        "planes" if isinstance(inputs, Patches) else "network",
         drawn,
         products=PRODUCTS,
         rounds=rounds,
         hidden=max([1, *(len(layer.bias) for layer in layers[:-1])]),
         layers=len(layers),
-        weight_bits=max([LEAST.weight_bits, *(_bits(layer.weights) for layer in layers)]),
+        weight_bits=max([LEAST.weight_bits, *map(_bits, weights)]),
         value_bits=max(LEAST.value_bits, _bits(np.array(values))),
+        filters=len(inputs.bias) if isinstance(inputs, Patches) else 1,
     )
 
 

@@ -13,8 +13,16 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.memory_map import Engine, Section
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.golden_policy import GoldenPolicy
-from pearl_marl.policies.integer_network import Dense, IntegerNetwork, Levels, Rows, Scaling
+from pearl_marl.policies.integer_network import (
+    Dense,
+    IntegerNetwork,
+    Levels,
+    Patches,
+    Rows,
+    Scaling,
+)
 from pearl_marl.spec import EnvSpec
+from pearl_marl.spec.elements import bounds
 
 Words = npt.NDArray[np.uint32]
 
@@ -24,12 +32,12 @@ QUANTUM_BITS = 40
 """Widths of the engine's multipliers of inputs, of an episode's return, and of what a reward counts as."""
 
 
-def check_engine(spec: EnvSpec) -> None:
-    """Refuse an environment whose observations or actions no engine takes."""
-    if spec.unpack is not None:
+def check_engine(spec: EnvSpec, engine: Engine) -> None:
+    """Refuse an environment whose observations or actions an engine does not take."""
+    if spec.unpack is not None and engine.kind != "planes":
         raise ArgumentError(
-            f"a policy engine takes observations as their words are, and the host unpacks those of {spec.id}"
-            "; roll out on another device"
+            f"a policy engine for a {engine.kind} takes observations as their words are, and the host "
+            f"unpacks those of {spec.id}; take Engine('planes'), or roll out on another device"
         )
     if len(spec.action_counts) != 1:
         raise ArgumentError(
@@ -50,19 +58,14 @@ def policy_words(policy: DevicePolicy, engine: Engine) -> dict[Section, Words]:
         _check_function(policy, engine)
         return {}  # which is a part of the design
     spec = policy.spec
-    check_engine(spec)
+    check_engine(spec, engine)
     if not isinstance(policy, IntegerNetwork):
         raise _refusal(f"takes {engine.kind}s of integers, and this policy is {_named(policy)}")
     head, inputs = policy.head, policy.inputs
     assert not isinstance(head, Levels)  # there are none for a single action of so many
     if len(head.weights) and not engine.drawn:
         raise _refusal("takes the best action, and this policy draws its actions")
-    if isinstance(inputs, Rows):
-        words = _table(policy, inputs, engine)
-    elif isinstance(inputs, Scaling):
-        words = _network(policy, inputs, engine)
-    else:
-        raise _refusal(f"takes numbers, and this policy begins with {type(inputs).__name__}")
+    words = _table(policy, inputs, engine) if isinstance(inputs, Rows) else _network(policy, inputs, engine)
     words[Section.SETTINGS][0] = head.shift | (32 if len(head.weights) else 0)
     if len(head.weights):
         words[Section.CHANCES] = _unsigned(head.weights)
@@ -79,7 +82,7 @@ def _check_function(policy: DevicePolicy, engine: Engine) -> None:
 
 def _table(policy: IntegerNetwork, inputs: Rows, engine: Engine) -> dict[Section, Words]:
     if engine.kind != "table":
-        raise _refusal("takes networks, and this policy is a table")
+        raise _refusal(f"takes {_TAKES[engine.kind]}, and this policy is a table")
     if len(inputs.first) != 1 or len(policy.layers) != 1:
         raise _refusal("takes one table of logits, and this policy has several, or layers behind it")
     if len(policy.indicator):
@@ -99,10 +102,14 @@ def _table(policy: IntegerNetwork, inputs: Rows, engine: Engine) -> dict[Section
     }
 
 
-def _network(policy: IntegerNetwork, inputs: Scaling, engine: Engine) -> dict[Section, Words]:
+_TAKES = {"table": "tables", "network": "networks", "planes": "networks on planes"}
+
+
+def _network(policy: IntegerNetwork, inputs: Scaling | Patches, engine: Engine) -> dict[Section, Words]:
     layers = policy.layers
-    if engine.kind != "network":
-        raise _refusal("takes tables, and this policy is a network")
+    kind, place = ("planes", " on planes") if isinstance(inputs, Patches) else ("network", "")
+    if engine.kind != kind:
+        raise _refusal(f"takes {_TAKES[engine.kind]}, and this policy is a network{place}")
     if len(policy.indicator):
         raise _refusal("does not tell the agents of a world apart, and this policy does")
     if len(layers) > engine.layers:
@@ -110,16 +117,16 @@ def _network(policy: IntegerNetwork, inputs: Scaling, engine: Engine) -> dict[Se
     for layer in layers[:-1]:
         if len(layer.bias) > engine.hidden:
             raise _refusal(f"has layers of {engine.hidden} units, and this policy one of {len(layer.bias)}")
-    if np.max(inputs.multiplier) >= 1 << MULTIPLIER_BITS:
-        raise _refusal(
-            f"has multipliers of {MULTIPLIER_BITS} bits, and this policy has {np.max(inputs.multiplier)}"
-        )
-    _fit(inputs.offset, 32, "offsets")
     _fit(np.array([inputs.limit]), engine.value_bits, "inputs")
+    if isinstance(inputs, Patches):
+        filters, shift = filter_words(policy.spec, inputs, engine), inputs.shift
+        layers = (_padded(layers[0], inputs, engine), *layers[1:])
+    else:
+        filters, shift = _checked_scaling(inputs, engine), 0
     tables = {layer.activation.tobytes(): layer.activation for layer in layers[:-1] if len(layer.activation)}
     if len(tables) > 1:
         raise _refusal("has one table of activations, and the layers of this policy have several")
-    settings = [0, len(layers) - 1, inputs.limit, 0]
+    settings = [0, len(layers) - 1, inputs.limit, shift]
     for layer in layers:
         _fit(layer.weights, engine.weight_bits, "weights")
         outputs, width = layer.weights.shape
@@ -131,13 +138,52 @@ def _network(policy: IntegerNetwork, inputs: Scaling, engine: Engine) -> dict[Se
         settings.append(limit | shift << 26 | bool(len(layer.activation)) << 31)
     words = {
         Section.SETTINGS: _unsigned(settings),
-        Section.SCALINGS: scaling_words(inputs, engine.products),
+        Section.SCALINGS: filters,
         Section.BIASES: _unsigned(np.concatenate([layer.bias for layer in layers])),
         Section.WEIGHTS: np.concatenate([_weights(layer, engine) for layer in layers]),
     }
     for table in tables.values():
         words[Section.ACTIVATION] = _unsigned(table)
     return words
+
+
+def _checked_scaling(inputs: Scaling, engine: Engine) -> Words:
+    if np.max(inputs.multiplier) >= 1 << MULTIPLIER_BITS:
+        raise _refusal(
+            f"has multipliers of {MULTIPLIER_BITS} bits, and this policy has {np.max(inputs.multiplier)}"
+        )
+    _fit(inputs.offset, 32, "offsets")
+    return scaling_words(inputs, engine.products)
+
+
+def filter_words(spec: EnvSpec, inputs: Patches, engine: Engine) -> Words:
+    """Return the words of filters: of each its weights, a word each, and its bias.
+
+    A filter begins at a multiple of a power of two, and so do each ``products`` filters. Those that a policy
+    does not have are 0.
+    """
+    count, greatest = len(inputs.bias), int(bounds(spec.observation_space)[1].max())
+    if greatest > 1:
+        raise _refusal(f"takes planes of 0 and 1, and observations of {spec.id} reach {greatest}")
+    if count > engine.filters:
+        raise _refusal(f"has {engine.filters} filters, and this policy {count}")
+    _fit(inputs.weights, engine.weight_bits, "weights")
+    numbers = np.concatenate([inputs.weights.reshape(count, -1), inputs.bias[:, None]], 1)
+    room = 1 << (numbers.shape[1] - 1).bit_length()
+    words = np.zeros((-(-engine.filters // engine.products), 1 << (engine.products - 1).bit_length(), room))
+    words = words.astype(np.int64)
+    chunk, column = np.divmod(np.arange(count), engine.products)
+    words[chunk, column, : numbers.shape[1]] = numbers
+    return _unsigned(words.ravel())
+
+
+def _padded(layer: Dense, inputs: Patches, engine: Engine) -> Dense:
+    """Return the first layer behind filters that fill whole words of products."""
+    outputs, count = len(layer.bias), len(inputs.bias)
+    filters = -(-engine.filters // engine.products) * engine.products
+    weights = np.zeros((outputs, layer.weights.shape[1] // count, filters), np.int16)
+    weights[:, :, :count] = layer.weights.reshape(outputs, -1, count)
+    return layer._replace(weights=weights.reshape(outputs, -1))
 
 
 def scaling_words(inputs: Scaling, products: int) -> Words:

@@ -54,15 +54,16 @@ class RolloutCandidate:
 def engine_dsp(engine: Engine, spec: EnvSpec, pe_num: int, target: Target) -> int:
     """Return the DSPs of an engine.
 
-    Of a network it is one a product, and two for each element that is scaled at once, without those of drawn
-    actions; of a golden function the multipliers of its cores and draws.
+    Of a network it is one a product, without those of drawn actions, and two for each element that is scaled
+    at once; filters of planes take none. Of a golden function the multipliers of its cores and draws.
     """
     if engine.kind == "table":
         return 0
     if engine.kind == "golden":
         each = DRAW_DSP * engine.draws + act_core(spec, engine, target).multipliers
         return DRAW_DSP * (engine.draws > 0) + pe_num * spec.agents * each
-    return pe_num * (engine.side * engine.products + 2 * min(engine.products, len(spec.observation)))
+    scaled = min(engine.products, len(spec.observation)) if engine.kind == "network" else 0
+    return pe_num * (engine.side * engine.products + 2 * scaled)
 
 
 def plan_rollouts(
@@ -87,12 +88,12 @@ def plan_rollouts(
     target = clocked("xc7", clock / 1e6)
     dsp = modelled_dsp(spec, target)
     layers = policy.layers if isinstance(policy, IntegerNetwork) else ()
-    sizes = [len(spec.observation), *(len(layer.bias) for layer in layers)]
+    outputs = [len(layer.bias) for layer in layers]
     counts = [1 << k for k in range(MAX_PE_NUM.bit_length()) if 1 << k <= n_envs]
 
     def cycles(layout: MemoryMap, engine: Engine) -> int:
         own = memory_map(spec, layout.n_envs, layout.pe_num, layout.data_wl, engine)
-        return rollout_step_cycles(spec, own, sizes, target)
+        return rollout_step_cycles(spec, own, [engine.inputs(spec), *outputs], target)
 
     found = []
     for count in counts if pe_num is None else [pe_num]:
@@ -100,7 +101,7 @@ def plan_rollouts(
         engine = with_engine(plain, policy).layout.engine
         assert engine is not None
         left = None if part is None else part.dsp - dsp.of(count)
-        if engine.kind == "network":
+        if engine.is_network:
             side = MOST_SIDE
             if left is not None:
                 none = engine_dsp(engine._replace(side=0), spec, count, target)
@@ -111,10 +112,7 @@ def plan_rollouts(
             continue
         took = cycles(plain.layout, engine)
         limit = "cores"
-        if (
-            engine.kind == "network"
-            and cycles(plain.layout, engine._replace(side=2 * engine.side)) * NEAR < took
-        ):
+        if engine.is_network and cycles(plain.layout, engine._replace(side=2 * engine.side)) * NEAR < took:
             limit = "engine"
         layout = memory_map(spec, n_envs, count, plain.layout.data_wl, engine)
         rate = n_envs * spec.agents / took * clock

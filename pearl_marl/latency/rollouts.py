@@ -39,8 +39,8 @@ def rollout_step_cycles(
     """Return the clock cycles by which a rollout is longer if it has one step more.
 
     It is what ``Rtl.cycles`` counts of a pipelined device. ``sizes`` are the widths of the network, as
-    :func:`batch_cycles` takes them; other engines have none. Each step takes the groups past the cores
-    twice, and begins when the last of the step before is in the sums.
+    :func:`batch_cycles` takes them, with the inputs of :meth:`Engine.inputs`; other engines have none. Each
+    step takes the groups past the cores twice, and begins when the last of the step before is in the sums.
     Where a batch is computed sooner than the next one comes in, it may be a few per cent too low.
     """
     if layout.engine is None:
@@ -49,8 +49,9 @@ def rollout_step_cycles(
     # From a group's issue to its results.
     depth = (_DRAW_LATENCY if draws else _READ_LATENCY + 2) + timing.latency
     engine, interval, groups = layout.engine, timing.interval, layout.groups
-    if engine.kind == "network":
-        issued = _network_issues(spec, engine, depth, interval, groups, sizes)
+    if engine.is_network:
+        way = depth + _to_inputs(spec, engine, target)
+        issued = _network_issues(spec, engine, way, interval, groups, sizes)
     else:
         issued = _issues(depth + _to_actions(spec, engine, target) + 1, interval, groups)
     counted = depth + _READ_LATENCY + 3 + _levels(layout.pe_num * spec.agents)
@@ -79,8 +80,16 @@ def _issues(way: int, interval: int, groups: int) -> int:
     return full * 2 * together * interval + max(way, rest * interval) + (rest - 1) * interval
 
 
+def _to_inputs(spec: EnvSpec, engine: Engine, target: Target) -> int:
+    """Return the cycles from what a group is shown to its first inputs, scaled or of patches."""
+    if engine.kind != "planes":
+        return _READ_LATENCY + 5
+    sums = _levels(9 * spec.observation_shape[2])
+    return elaboration.show_core(spec, target).latency + _READ_LATENCY + 4 + sums
+
+
 def _network_issues(
-    spec: EnvSpec, engine: Engine, depth: int, interval: int, groups: int, sizes: Sequence[int]
+    spec: EnvSpec, engine: Engine, way: int, interval: int, groups: int, sizes: Sequence[int]
 ) -> int:
     """Return the same with a network.
 
@@ -88,11 +97,11 @@ def _network_issues(
     before that has been stepped.
     """
     layers, batch = batch_cycles(engine, sizes), engine.side * engine.rounds
-    chunks = -(-len(spec.observation) // engine.products)
+    chunks = -(-engine.inputs(spec) // engine.products)
     observe = max(interval, chunks)
     # From the issue of a batch's last group to its first product; and from where the next one could
     # begin to the first actions.
-    into = depth + _READ_LATENCY + 7 + chunks
+    into = way + 2 + chunks
     out = _READ_LATENCY + 6 + _levels(engine.products) + _choice(spec, engine)
     begins: list[int] = []
     for first in range(0, groups, batch):

@@ -207,6 +207,21 @@ def unpack_of(view: type | None, function: GoldenFunction, words: Iterable[Field
     return unpack
 
 
+def row_of(unpack: GoldenFunction, size: int) -> GoldenFunction:
+    """Return ``unpack(*words, row)`` as a function of words that returns its row of so many elements."""
+    names = ", ".join(f"word_{k}" for k in range(len(inspect.signature(unpack).parameters) - 1))
+    scope: dict[str, Any] = {"function": unpack, "size": size, "__name__": unpack.__module__}
+    lines = (
+        f"def shown({names}):",
+        "    row = [0] * size",
+        f"    function({names}, row)",
+        "    return tuple(row)",
+    )
+    exec("\n".join(lines), scope)
+    shown: GoldenFunction = scope["shown"]
+    return shown
+
+
 UNPACKED_FRACTION = 16
 """Bits behind the binary point of the integers that :func:`in_fixed_point` makes of floats."""
 

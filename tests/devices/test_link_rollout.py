@@ -29,11 +29,12 @@ from pearl_marl.memory_map import (
 from pearl_marl.policies.device_policy import policy_draws
 from pearl_marl.policies.integer_network import IntegerNetwork
 
-from ..rtl.random_policies import random_network, random_table
+from ..rtl.random_policies import random_network, random_planes, random_table
 from ..toy_world import MEADOW
 
 NETWORK = Engine("network", drawn=True, products=4, side=2, rounds=2, hidden=8, layers=3)
 TABLE = Engine("table", drawn=True, table_rows=64, logit_bits=8)
+PLANES = NETWORK._replace(kind="planes", filters=6)
 NEXT, SAME = AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP
 
 
@@ -95,6 +96,9 @@ CASES = [
     ("CartPole", NETWORK, [8, 6], {"n_envs": 37}, 64),
     ("CartPole", NETWORK, [8, 6], {"n_envs": 37, "max_cycles": 0}, 64),
     ("CliffWalking", TABLE, None, {"n_envs": 7, "max_cycles": 13, "first_slot": 5}, 32),
+    # Planes, which the host unpacks for others; with masks, and two agents.
+    ("Breakout", PLANES, [8], {"n_envs": 19, "max_cycles": 15}, 64),
+    ("ConnectFour", PLANES._replace(products=3), [8, 5], {"n_envs": 7, "autoreset_mode": NEXT}, 64),
     # Agents that end one by one.
     ("Meadow", NETWORK, [8], {"n_envs": 7, "max_cycles": 20, "autoreset_mode": NEXT}, 32),
     *(
@@ -160,7 +164,7 @@ def test_a_rollout_is_its_steps(
     native.open(BatchConfig(spec=spec.in_elements, **settings))
     hardware.reset(seed=3)
     obs, sums = native.reset(seed=3), Expected(native.config.n_envs, spec.agents)
-    widths = [len(spec.observation), *(hidden or []), *spec.action_counts]
+    widths = [engine.inputs(spec), *(hidden or []), *spec.action_counts]
     layout = memory_map(spec, settings["n_envs"], pe_num, data_wl, engine)
     cycles = rollout_step_cycles(spec, layout, widths)
     last = episodes = 0
@@ -169,6 +173,8 @@ def test_a_rollout_is_its_steps(
             policy = (
                 random_table(random, spec, 6, drawn)
                 if hidden is None
+                else random_planes(random, spec, int(random.integers(4, 7)), hidden, drawn)
+                if engine.kind == "planes"
                 else random_network(random, spec, hidden, drawn)
             )
         found = hardware.rollout(policy, steps)
@@ -260,6 +266,9 @@ def test_what_an_engine_does_not_take_is_said() -> None:
     )
     assert policy_words(network, NETWORK)
     assert policy_words(table, TABLE)
+    planes = random_planes(random, get_spec("Breakout"), 6, [8, 8], drawn=True)
+    assert policy_words(planes, PLANES)
+    colours = random_planes(random, get_spec("MiniGridEmpty"), 6, [8, 8], drawn=True)
     wide = dataclasses.replace(table, layers=(table.layers[0]._replace(bias=np.full(4, 200, np.int32)),))
     two = tuple(
         layer._replace(activation=np.full(1024, k, np.int16)) for k, layer in enumerate(network.layers[:2])
@@ -268,6 +277,12 @@ def test_what_an_engine_does_not_take_is_said() -> None:
         (network, NETWORK._replace(drawn=False), "takes the best action, and this policy draws"),
         (network, TABLE, "takes tables, and this policy is a network"),
         (table, NETWORK, "takes networks, and this policy is a table"),
+        (network, PLANES, "takes networks on planes, and this policy is a network;"),
+        (planes, NETWORK, "the host unpacks those of Breakout-v.; take Engine..planes"),
+        (planes, TABLE, "the host unpacks those of Breakout-v.; take Engine..planes"),
+        (colours, PLANES, "takes planes of 0 and 1, and observations of MiniGridEmpty.* reach 255;"),
+        (planes, PLANES._replace(filters=5), "has 5 filters, and this policy 6"),
+        (planes, PLANES._replace(weight_bits=4), "has weights of 4 bits, and this policy has"),
         (network, NETWORK._replace(layers=2), "has 2 layers, and this policy 3"),
         (network, NETWORK._replace(hidden=4), "has layers of 4 units, and this policy one of 8"),
         (network, NETWORK._replace(weight_bits=4), "has weights of 4 bits, and this policy has"),
@@ -279,13 +294,17 @@ def test_what_an_engine_does_not_take_is_said() -> None:
         with pytest.raises(ArgumentError, match=sentence):
             policy_words(policy, engine)
     for env, sentence in (
-        ("Seaquest", "the host unpacks those of Seaquest"),
+        ("Seaquest", "the host unpacks those of Seaquest-v.; take Engine..planes"),
         ("Pendulum", "one of so many actions"),
     ):
         of_env = object.__new__(IntegerNetwork)
         object.__setattr__(of_env, "spec", get_spec(env))
         with pytest.raises(ArgumentError, match=sentence):
             policy_words(of_env, NETWORK)
+    with pytest.raises(
+        ArgumentError, match=r"observations of CartPole-v. have the shape \(4,\); take another"
+    ):
+        memory_map(cart, 4, 4, 64, PLANES)
 
 
 def test_rewards_become_whole_numbers() -> None:

@@ -14,14 +14,16 @@ from pearl_marl.memory_map import Engine
 from pearl_marl.policies.golden_policy import GoldenPolicy
 
 from ..policies.rules import balance
-from ..rtl.random_policies import random_network, random_table
+from ..rtl.random_policies import random_network, random_planes, random_table
 
 
 def test_an_engine_takes_the_policy_that_it_is_for() -> None:
     random, cart, cliff = np.random.default_rng(0), get_spec("CartPole"), get_spec("CliffWalking")
+    games = get_spec("Breakout")
     for spec, policy, kind in (
         (cart, random_network(random, cart, [16, 12], drawn=True), "network"),
         (cart, random_network(random, cart, [], drawn=False), "network"),
+        (games, random_planes(random, games, 6, [9], drawn=True), "planes"),
         (cliff, random_table(random, cliff, 10, drawn=True), "table"),
     ):
         build = with_engine(Build.of(spec, 40, 4), policy)

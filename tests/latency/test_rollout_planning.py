@@ -46,6 +46,19 @@ def test_the_engine_gets_the_multipliers_that_cores_leave() -> None:
     assert 100e6 < best.rate < 300e6
 
 
+def test_planes_take_multipliers_for_layers_alone() -> None:
+    """And the inputs of the first layer are those of patches: 64 of them with 5 filters, in words of 8."""
+    part, policy = PARTS["vc707"], random_network(get_spec("Breakout"), 1, (32, 16), drawn=False)
+    best, *_ = found = plan_rollouts(policy, 43_008, 125e6, part)
+    for candidate in found:
+        engine, layout = candidate.layout.engine, candidate.layout
+        assert engine is not None
+        assert candidate.engine_dsp == engine.side * engine.products * layout.pe_num
+        at = policy.spec, layout, [64 * 8, 32, 16, 3]
+        assert candidate.cycles == rollout_step_cycles(*at, clocked("xc7", 125))
+    assert best.core_dsp + best.engine_dsp <= part.dsp
+
+
 def test_a_table_takes_none_and_cores_limit_it() -> None:
     best, *_ = plan_rollouts(RIGHT, 43_008, 125e6, PARTS["vc707"])
     assert (best.limit, best.engine_dsp, best.layout.pe_num) == ("cores", 0, 256)

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pearl_marl.policies.integer_network import ENTRIES, Dense, Head, IntegerNetwork, Rows, Scaling
+from pearl_marl.policies.integer_network import ENTRIES, Dense, Head, IntegerNetwork, Patches, Rows, Scaling
 from pearl_marl.spec import EnvSpec
 
 Random = np.random.Generator
@@ -50,6 +50,20 @@ def random_network(random: Random, spec: EnvSpec, hidden: list[int], drawn: bool
     multiplier = np.clip(8 * limit * 2.0**20 / np.maximum(reach, 1), 1, (1 << 16) - 1).astype(np.int64)
     inputs = Scaling(random.integers(-5, 5, count), multiplier, np.full(count, 20), limit)
     layers = random_layers(random, [count, *hidden, sum(spec.action_counts)])
+    head = random_head(random, spec, drawn)
+    return IntegerNetwork(spec, inputs, np.zeros((0, len(layers[0].bias)), np.int32), layers, head)
+
+
+def random_planes(
+    random: Random, spec: EnvSpec, filters: int, hidden: list[int], drawn: bool
+) -> IntegerNetwork:
+    """Return a network for an environment with planes of 0 and 1; some of its inputs are cut at both ends."""
+    rows, columns, planes = spec.observation_shape
+    weights = random.integers(-128, 128, (filters, 3, 3, planes)).astype(np.int16)
+    bias = random.integers(-200, 200, filters).astype(np.int32)
+    inputs = Patches(spec.observation_shape, weights, bias, 1, 60)
+    sizes = [filters * (rows - 2) * (columns - 2), *hidden, sum(spec.action_counts)]
+    layers = random_layers(random, sizes)
     head = random_head(random, spec, drawn)
     return IntegerNetwork(spec, inputs, np.zeros((0, len(layers[0].bias)), np.int32), layers, head)
 

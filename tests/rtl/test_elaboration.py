@@ -79,6 +79,7 @@ TABLE = Engine("table", table_rows=48, logit_bits=8)
     [
         ("CartPole", NETWORK._replace(drawn=True)),
         ("CliffWalking", TABLE),
+        ("ConnectFour", NETWORK._replace(kind="planes", drawn=True, filters=6)),
         # Masks, and several agents; a layer alone; words of weights that are no power of two.
         *(
             pytest.param(env, engine, marks=pytest.mark.exhaustive)
