@@ -40,7 +40,7 @@ class GoldenContract:
         In ``NEXT_STEP`` mode the golden functions do all that they do in the other one, and step from ended
         states too, though nobody sees where to.
         """
-        n, steps = 128, 40
+        n, steps = 48, 24
         device = Reference().open(BatchConfig(spec=spec, n_envs=n, autoreset_mode=NEXT))
         assert contains_all(spec.observation_space, device.reset(seed=1))
         words = room_for_words(spec, n * spec.agents)

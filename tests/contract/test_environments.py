@@ -93,8 +93,10 @@ class TestOtherEnvironments(GoldenContract):
 
 @pytest.mark.parametrize("name", OTHER_ENVIRONMENTS)
 def test_other_environments_step_as_the_reference(name: str) -> None:
-    """In every mode; more that the contract asks of a device is seen in environments of each kind."""
-    plan = runs(pearl_marl.get_spec(name), 60, 96)
+    """In two modes that share nothing; what else the contract asks is asked of environments of each kind."""
+    plan = runs(pearl_marl.get_spec(name), 60, 128)
+    if not sampling.exhaustive:
+        plan = [plan[0], plan[-1]]
     for run in plan:
         for _ in verify(run, Lockstep("native", "reference"), seed=3):
             pass

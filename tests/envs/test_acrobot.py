@@ -72,7 +72,7 @@ def growth(states: Array, torques: Array, nips: bool) -> Array:
 
 
 @pytest.mark.parametrize("book_or_nips", ["book", "nips"])
-@pytest.mark.parametrize("n", [500, pytest.param(50_000, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("n", [200, pytest.param(50_000, marks=pytest.mark.exhaustive)])
 def test_step(n: int, book_or_nips: str) -> None:
     """One step from each of many states, on the CPU device, too: state, reward and end."""
     spec, generator = SPEC.with_options(book_or_nips=book_or_nips), np.random.default_rng(1)

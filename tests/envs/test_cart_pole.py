@@ -51,12 +51,13 @@ def random_states(generator: np.random.Generator, n: int) -> list[Array]:
     return state
 
 
+@pytest.mark.parametrize("n", [20_000, pytest.param(100_000, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("sutton_barto", [False, True])
-def test_step(sutton_barto: bool) -> None:
-    """100,000 states, one step each, and the CPU device, too: state, reward and end."""
+def test_step(sutton_barto: bool, n: int) -> None:
+    """One step from each of many states, on the CPU device, too: state, reward and end."""
     options, generator = {"sutton_barto_reward": sutton_barto}, np.random.default_rng(1)
     oracle = Rules(partial(gymnasiums, **options))
-    states = random_states(generator, 100_000)
+    states = random_states(generator, n)
     move = compare_steps(SPEC.with_options(**options), oracle, states, tolerance=WORST)
     assert np.count_nonzero(move.outcome.undecided) < 20
     assert 0.1 < move.ended.mean() < 0.9

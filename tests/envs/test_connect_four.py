@@ -24,7 +24,7 @@ SPEC = pearl_marl.get_spec("ConnectFour")
 initial, step = SPEC.positional[:2]
 
 
-@pytest.mark.parametrize("moves", [25_000, pytest.param(100_000, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("moves", [16_000, pytest.param(100_000, marks=pytest.mark.exhaustive)])
 def test_moves(moves: int) -> None:
     """Random games to their ends: observations, masks, rewards and ends after every move."""
     n, counts = 100, Counter[float]()

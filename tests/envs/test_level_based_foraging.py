@@ -19,6 +19,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference
 from pearl_marl.porting.oracle import Games, Ours, Outcome, compare
 
+from ..sampling import sampled
 from .starts import started
 
 Array = np.ndarray[Any, Any]
@@ -211,7 +212,7 @@ SPAWNS = {
 
 
 @pytest.mark.parametrize("n", [1_500, pytest.param(6_000, marks=pytest.mark.exhaustive)])
-@pytest.mark.parametrize("name", SPAWNS)
+@pytest.mark.parametrize("name", sampled(SPAWNS, ("6x6-4p-2f-coop",)))
 def test_starts_are_distributed_as_in_the_package(name: str, n: int) -> None:
     given = SPAWNS[name]
     spec = spec_of(given)

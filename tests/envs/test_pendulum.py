@@ -72,10 +72,11 @@ def torques(spec: pearl_marl.EnvSpec, generator: np.random.Generator, n: int) ->
     return (words(generator, spec.action, -2, 2, n) * 2.0**-spec.action.fraction)[:, None, None]
 
 
+@pytest.mark.parametrize("n", [20_000, pytest.param(100_000, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("g", [10.0, 9.81, -200.0])
-def test_step(g: float) -> None:
-    """100,000 states, one step each, and the CPU device, too: state, reward and observation."""
-    n, generator = 100_000, np.random.default_rng(1)
+def test_step(g: float, n: int) -> None:
+    """One step from each of many states, on the CPU device, too: state, reward and observation."""
+    generator = np.random.default_rng(1)
     spec = SPEC.with_options(g=g)
     states = random_states(generator, n)
     move = compare_steps(spec, oracle(g=g), states, torques(spec, generator, n), tolerance(g))

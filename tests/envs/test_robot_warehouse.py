@@ -28,6 +28,7 @@ from pearl_marl.golden import reference
 from pearl_marl.layout import Layout
 from pearl_marl.porting.oracle import Games, Ours, Outcome, compare
 
+from ..sampling import sampled
 from .starts import started
 
 Array = np.ndarray[Any, Any]
@@ -362,6 +363,7 @@ def jostled(name: str, turns: int, n: int) -> Counter[str]:
     return count
 
 
+ONCE = sampled([(name, 1, 300) for name in (*CASES, *OTHERS)], [("small-4ag", 1, 300), ("two-stage", 1, 300)])
 CROWDS = [
     pytest.param(name, turns, 100, marks=pytest.mark.exhaustive)
     for name, turns in (("tiny-2ag", 260), ("tiny-4ag", 160))
@@ -369,7 +371,7 @@ CROWDS = [
 """Two robots are in each other's way in 4 steps of 10, four in 6."""
 
 
-@pytest.mark.parametrize(("name", "turns", "n"), [*((name, 1, 300) for name in (*CASES, *OTHERS)), *CROWDS])
+@pytest.mark.parametrize(("name", "turns", "n"), [*ONCE, *CROWDS])
 def test_robots_in_each_others_way(name: str, turns: int, n: int) -> None:
     seen = jostled(name, turns, n)
     print(name, dict(seen))

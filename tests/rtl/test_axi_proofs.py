@@ -30,6 +30,7 @@ def check_slave(folder: Path, fault: Fault | None, *only: str) -> str:
     return check(folder, "axi_proof", files, [], fault, depths=DEPTHS, prepared=prepared)
 
 
+@pytest.mark.exhaustive  # a minute of the solver; what each property refuses is below
 def test_slave_does_as_axi_demands(tmp_path: Path) -> None:
     report = check_slave(tmp_path, None)
     assert "DONE (PASS" in report, report

@@ -17,7 +17,7 @@ from pearl_marl.hardware.build import Build
         # Ratios of row to word: a whole number of rows to a word, of words to a row, neither; a last
         # group that is full, and one that is not; one group only; one slot only.
         pytest.param("CliffWalking", {}, (1, 1, 32), 0.0, 4, marks=pytest.mark.exhaustive),
-        ("CliffWalking", {}, (7, 4, 32), 0.2, 8),
+        pytest.param("CliffWalking", {}, (7, 4, 32), 0.2, 8, marks=pytest.mark.exhaustive),
         pytest.param(
             "CliffWalking", {"is_slippery": True}, (60, 7, 32), 0.0, 6, marks=pytest.mark.exhaustive
         ),

@@ -40,7 +40,8 @@ def cores(numbers: range, folder: Path) -> list[Variant]:
 @pytest.mark.parametrize(
     "numbers",
     [
-        range(len(FIXED) + 4),
+        range(0, len(FIXED) + 4, 4),
+        pytest.param(range(len(FIXED) + 4), marks=pytest.mark.exhaustive),
         range(PLAIN, PLAIN + 3),
         *(pytest.param(range(k, k + 64), marks=pytest.mark.exhaustive) for k in range(16, 720, 64)),
     ],
