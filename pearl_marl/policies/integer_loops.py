@@ -31,6 +31,7 @@ from pearl_marl.policies.integer_vectors import (
     HALF,
     HIGH,
     TILE,
+    pairs_gathered,
     pairs_looked_up,
     pairs_to_pairs,
     pairs_to_sums,
@@ -39,6 +40,7 @@ from pearl_marl.policies.integer_vectors import (
     quads_to_sums,
     take,
     take_greatest,
+    takes_gathers,
     takes_quads,
 )
 
@@ -80,6 +82,7 @@ class Prepared(NamedTuple):
     bias: Sums1
     layers: Words2  # (layers, 6): inputs of a group, groups, outputs rounded up to a multiple of HIGH, ...
     tables: Sums2  # (layers, 1024)
+    gathers: int  # 1 where the processor looks up the words of a vector
     bytes: Bytes2  # (layers, 1024): the same from the entry of 0 on, plus MIDDLE, for layers of quads
     chooses: int  # GREATEST, DRAWN or LEVELS
     counts: Words
@@ -161,6 +164,7 @@ def prepared(network: IntegerNetwork, dtype: np.dtype[Any]) -> Prepared:
         np.concatenate(bias),
         facts,
         tables,
+        int(takes_gathers()),
         as_bytes,
         chooses,
         counts,
@@ -232,13 +236,17 @@ class TileArrays(NamedTuple):
     filtered: Array  # int32: what filters find in them
     x: Array  # int32, (groups, TILE)
     sums: Array  # int32, (outputs, TILE)
-    all_x: Array  # int32: the same in one line, as are the next three; NumPy's reshape takes long in a loop
+    all_x: Array  # int32: the same in one line, as are the next four; NumPy's reshape takes long in a loop
     all_y: Array  # int32: other groups, which layers write that take those of x, and the other way round
     all_sums: Array
     all_bytes: Array
+    all_words: Array
     best: Array  # int32, (TILE,): actions
     greatest: Array  # int32, (TILE,): their logits
     rows: Array  # int64, (TILE,): rows of a table
+    chances: Array  # int64, (actions of a field, TILE)
+    left: Array  # int64, (TILE,): what is left of a random number when chances are taken away
+    drawn: Array  # int64, (TILE,): actions
 
 
 @allocating
@@ -268,8 +276,12 @@ def _room_for(net: Prepared) -> TileArrays:
         y,
         sums,
         net.bytes.reshape(-1),
+        net.tables.reshape(-1),
         np.zeros(TILE, np.int32),
         np.zeros(TILE, np.int32),
+        np.zeros(TILE, np.int64),
+        np.zeros((net.counts.max() if net.chooses == DRAWN else 0, TILE), np.int64),
+        np.zeros(TILE, np.int64),
         np.zeros(TILE, np.int64),
     )
 
@@ -334,13 +346,15 @@ def _see_planes(net: Prepared, elements: Array, first: int, n: int, room: TileAr
 
 @called
 def _look_up_pairs(sums: Array, table: Array, shift: Any, outputs: int, made: Array) -> None:
-    """Look up what sums become in a table of any numbers, and put that in pairs."""
+    """Look up what sums become in a table of any numbers, and put that in pairs; the sums are lost."""
+    # Entries first, which is vectorised; no index below counts from the end.
+    for j in range(outputs):
+        for s in range(TILE):
+            entry = min(max(sums[j, s] >> shift, np.int32(-HALF)), np.int32(HALF - 1))
+            sums[j, s] = entry + np.int32(HALF)
     for j in range(0, outputs, 2):
         for s in range(TILE):
-            low = table[min(max(sums[j, s] >> shift, np.int32(-HALF)), np.int32(HALF - 1)) + np.int32(HALF)]
-            high = table[
-                min(max(sums[j + 1, s] >> shift, np.int32(-HALF)), np.int32(HALF - 1)) + np.int32(HALF)
-            ]
+            low, high = table[np.uint64(sums[j, s])], table[np.uint64(sums[j + 1, s])]
             made[np.uint64((j >> 1) * TILE + s)] = (low & np.int32(0xFFFF)) | (high << np.int32(16))
 
 
@@ -407,7 +421,7 @@ def _add_up(net: Prepared, elements: Array, first: int, n: int, room: TileArrays
         size, groups, outputs = net.layers[layer, SIZE], net.layers[layer, GROUPS], net.layers[layer, OUTPUTS]
         shift, has_table = net.layers[layer, SHIFT], net.layers[layer, HAS_TABLE]
         following = net.layers[layer + 1, SIZE] if layer < last else 0
-        arrays = inputs, made, room.all_sums, net.weights, net.bias, room.all_bytes
+        arrays = inputs, made, room.all_sums, net.weights, net.bias, room.all_bytes, room.all_words
         end = layer * ENTRIES if has_table else net.layers[layer, LIMIT]
         of = weight, groups, bias, outputs, np.int64(begun), shift, end
         if following == QUAD:
@@ -422,6 +436,8 @@ def _add_up(net: Prepared, elements: Array, first: int, n: int, room: TileArrays
             quads_to_sums(arrays, of)
         elif following == PAIR and not has_table:
             pairs_to_pairs(arrays, of)
+        elif following == PAIR and net.gathers:
+            pairs_gathered(arrays, of)
         else:
             pairs_to_sums(arrays, of)
             if has_table:
@@ -429,6 +445,50 @@ def _add_up(net: Prepared, elements: Array, first: int, n: int, room: TileArrays
         inputs, made, begun = made, inputs, False
         weight += groups * outputs
         bias += outputs
+
+
+@called
+def _take_greatest_allowed(room: TileArrays, masks: Array, start: int, count: int) -> None:
+    """Find the greatest sum of each agent among those that its mask allows; 0 where it allows none."""
+    for s in range(len(masks)):
+        best, greatest, found = 0, np.int32(0), False
+        for j in range(count):
+            more = room.sums[start + j, s]
+            if masks[s, j] and (not found or more > greatest):
+                best, greatest, found = j, more, True
+        room.best[s], room.greatest[s] = best, greatest
+
+
+@called
+def _draw(
+    net: Prepared, room: TileArrays, field: tuple[int, int], masks: Array, draws: Array, first: int
+) -> None:
+    """Replace the greatest by actions that are drawn; it stays where no action has a chance.
+
+    A loop over the agents for each action: which one is drawn, no processor can predict.
+    """
+    start, count = field
+    chances, left, drawn = room.chances, room.left, room.drawn
+    for s in range(len(draws)):
+        left[s] = drawn[s] = 0
+    for j in range(count):
+        for s in range(len(draws)):
+            distance = (np.int64(room.greatest[s]) - room.sums[start + j, s]) >> net.chance_shift
+            # What is not allowed may be greater than the greatest.
+            chance = net.chances[np.uint64(max(min(distance, ENTRIES - 1), 0))]
+            if len(masks) and not masks[first + s, j]:
+                chance = 0
+            chances[j, s] = chance
+            left[s] += chance
+    for s in range(len(draws)):
+        left[s] = np.int64((np.uint64(draws[s]) * np.uint64(left[s])) >> np.uint64(32))
+    for j in range(count):
+        for s in range(len(draws)):
+            left[s] -= chances[j, s]
+            drawn[s] += left[s] >= 0
+    for s in range(len(draws)):
+        if drawn[s] < count:
+            room.best[s] = drawn[s]
 
 
 @called
@@ -450,41 +510,18 @@ def _choose(
                 word = (np.int64(sums[k, s]) * net.level[0, k] + net.level[1, k]) >> net.level_shift
                 words[first + s, k] = min(max(word, net.level[2, k]), net.level[3, k])
         return
-    masked, start = len(masks) > 0, 0
+    start = 0
     for field in range(len(net.counts)):
         count = net.counts[field]
-        if not masked:
+        if len(masks):
+            _take_greatest_allowed(room, masks[first : first + n], start, count)
+        else:
             take_greatest((room.all_sums, room.best, room.greatest), (start, count))
-            if net.chooses == GREATEST:
-                own = words[first : first + n]
-                for s in range(n):
-                    own[s, field] = room.best[np.uint64(s)]
-                start += count
-                continue
+        own = words[first : first + n]
+        if net.chooses == DRAWN:
+            _draw(net, room, (start, count), masks, draws[first : first + n, field], first)
         for s in range(n):
-            if masked:
-                best, greatest, found = 0, np.int32(0), False
-                for j in range(count):
-                    allowed = masks[first + s, j] != 0
-                    if allowed and (not found or sums[start + j, s] > greatest):
-                        best, greatest, found = j, sums[start + j, s], True
-            else:
-                best, greatest, found = room.best[s], room.greatest[s], True
-            if net.chooses == DRAWN and found:
-                total = 0
-                for j in range(count):
-                    if not masked or masks[first + s, j]:
-                        distance = (np.int64(greatest) - sums[start + j, s]) >> net.chance_shift
-                        total += net.chances[min(distance, ENTRIES - 1)]
-                number = np.int64((np.uint64(draws[first + s, field]) * np.uint64(total)) >> np.uint64(32))
-                for j in range(count):
-                    if not masked or masks[first + s, j]:
-                        distance = (np.int64(greatest) - sums[start + j, s]) >> net.chance_shift
-                        number -= net.chances[min(distance, ENTRIES - 1)]
-                        if number < 0:
-                            best = j
-                            break
-            words[first + s, field] = best
+            own[s, field] = room.best[np.uint64(s)]
         start += count
     if len(logits):
         for s in range(n):

@@ -48,6 +48,11 @@ def takes_quads() -> bool:
     return {"+avx512bw", "+avx512vbmi", "+avx512vnni"} <= _features()
 
 
+def takes_gathers() -> bool:
+    """Return whether the processor looks up the words of a vector in a table."""
+    return "+avx2" in _features()
+
+
 def _call(builder: Any, name: str, result: Any, *operands: Any) -> Any:
     """Call an instruction of the processor by LLVM's name for it."""
     kind = ir.FunctionType(result, [operand.type for operand in operands])
@@ -165,28 +170,32 @@ def _plus_quads(builder: Any, total: Any, inputs: Any, weights: Any) -> Any:
     return _call(builder, "llvm.x86.avx512.vpdpbusd.512", _WORDS, total, inputs, weights)
 
 
-Finish: TypeAlias = Callable[[Any, list[list[Any]]], None]
-"""What is done with the sums of :data:`HIGH` outputs: called with the first of them, and vectors of each."""
+Finish: TypeAlias = Callable[[Any, int, list[list[Any]]], None]
+"""What is done with the sums of :data:`HIGH` outputs: called with the first of them, the number of the first
+vector of a row, and vectors of each."""
 
 
 def _layer(plus: Callable[..., Any], begin: Callable[[_VectorCode], Finish]) -> Any:
     """Return a function that makes a layer's sums by ``plus``, and does with them what ``begin`` returns."""
-    needs_quads = plus is _plus_quads or begin not in (_keep, _cut_to_pairs)
+    needs_quads = plus is _plus_quads or begin in (_cut_to_quads, _look_up)
 
     def write(code: _VectorCode) -> None:
-        if needs_quads and not takes_quads():
+        if (needs_quads and not takes_quads()) or (begin is _gather and not takes_gathers()):
             return
-        builder, (inputs, _, sums, weights, biases, _) = code.builder, code.arrays
+        builder, (inputs, _, sums, weights, biases, *_) = code.builder, code.arrays
         first_weight, groups, first_bias, outputs, adds, *_ = code.numbers()
         finish = begin(code)
-        with code.each(outputs, HIGH) as first:
+        # Sums, and inputs of a group, have to fit the registers: AVX2 has half as many, of half the size.
+        width = VECTORS if "+avx512f" in _features() else 1
+
+        def add_up(first: Any, v: int) -> None:
             rows = [code.plus(first, row) for row in range(HIGH)]
-            totals = [[code.variable(_WORDS) for _ in range(VECTORS)] for _ in rows]
+            totals = [[code.variable(_WORDS) for _ in range(width)] for _ in rows]
             with builder.if_else(builder.trunc(adds, ir.IntType(1))) as (there, biased):
                 with there:
                     for row, own in zip(rows, totals, strict=True):
-                        for v, total in enumerate(own):
-                            builder.store(code.load(sums, code.word(row, v)), total)
+                        for k, total in enumerate(own):
+                            builder.store(code.load(sums, code.word(row, v + k)), total)
                 with biased:
                     for row, own in zip(rows, totals, strict=True):
                         bias = code.load(biases, builder.add(first_bias, row), _WORD)
@@ -194,12 +203,16 @@ def _layer(plus: Callable[..., Any], begin: Callable[[_VectorCode], Finish]) -> 
                             builder.store(_spread(builder, bias), total)
             starts = [builder.add(first_weight, builder.mul(groups, row)) for row in rows]
             with code.each(groups) as group:
-                some = [code.load(inputs, code.word(group, v)) for v in range(VECTORS)]
+                some = [code.load(inputs, code.word(group, v + k)) for k in range(width)]
                 for own, start in zip(totals, starts, strict=True):
                     factor = _spread(builder, code.load(weights, builder.add(start, group), _WORD))
                     for total, vector in zip(own, some, strict=True):
                         builder.store(plus(builder, builder.load(total), vector, factor), total)
-            finish(first, [[builder.load(total) for total in own] for own in totals])
+            finish(first, v, [[builder.load(total) for total in own] for own in totals])
+
+        with code.each(outputs, HIGH) as first:
+            for v in range(0, VECTORS, width):
+                add_up(first, v)
 
     return _made(write)
 
@@ -207,10 +220,10 @@ def _layer(plus: Callable[..., Any], begin: Callable[[_VectorCode], Finish]) -> 
 def _keep(code: _VectorCode) -> Finish:
     """Store sums as they are."""
 
-    def finish(first: Any, totals: list[list[Any]]) -> None:
-        for k, own in enumerate(totals):
-            for v, total in enumerate(own):
-                code.store(total, code.arrays[2], code.word(code.plus(first, k), v))
+    def finish(first: Any, v: int, totals: list[list[Any]]) -> None:
+        for row, own in enumerate(totals):
+            for k, total in enumerate(own):
+                code.store(total, code.arrays[2], code.word(code.plus(first, row), v + k))
 
     return finish
 
@@ -222,20 +235,45 @@ def _within(builder: Any, vector: Any, low: Any, high: Any) -> Any:
     return vector
 
 
-def _cut_to_pairs(code: _VectorCode) -> Finish:
-    """Cut sums at 0 and a limit of 16 bits."""
-    builder, shift, limit = code.builder, code.spread(5), code.spread(6)
+def _to_pairs(code: _VectorCode, make: Callable[[Any], Any]) -> Finish:
+    """Shift sums, have words of 16 bits made of them, and pairs of these."""
+    builder, shift = code.builder, code.spread(5)
 
-    def finish(first: Any, totals: list[list[Any]]) -> None:
-        for v in range(VECTORS):
-            words = [builder.ashr(own[v], shift) for own in totals]
-            words = [_within(builder, word, _constant(_WORDS, 0), limit) for word in words]
-            for k in range(0, HIGH, 2):
-                pair = builder.or_(words[k], builder.shl(words[k + 1], _constant(_WORDS, 16)))
-                group = builder.sdiv(code.plus(first, k), _INDEX(2))
-                code.store(pair, code.arrays[1], code.word(group, v))
+    def finish(first: Any, v: int, totals: list[list[Any]]) -> None:
+        for k in range(len(totals[0])):
+            words = [make(builder.ashr(own[k], shift)) for own in totals]
+            for row in range(0, HIGH, 2):
+                low = builder.and_(words[row], _constant(_WORDS, 0xFFFF))
+                pair = builder.or_(low, builder.shl(words[row + 1], _constant(_WORDS, 16)))
+                group = builder.sdiv(code.plus(first, row), _INDEX(2))
+                code.store(pair, code.arrays[1], code.word(group, v + k))
 
     return finish
+
+
+def _cut_to_pairs(code: _VectorCode) -> Finish:
+    """Cut sums at 0 and a limit of 16 bits."""
+    limit = code.spread(6)
+    return _to_pairs(code, lambda word: _within(code.builder, word, _constant(_WORDS, 0), limit))
+
+
+def _gather(code: _VectorCode) -> Finish:
+    """Look up what sums become in a table of words."""
+    builder, half, pointer = code.builder, ir.VectorType(_WORD, LANES // 2), ir.IntType(8).as_pointer()
+    zero = code.plus(code.numbers()[6], HALF)  # the entry of 0
+    table = builder.bitcast(builder.gep(code.arrays[6], [zero]), pointer)
+    every, size = _constant(half, -1), ir.Constant(ir.IntType(8), 4)
+
+    def look_up(word: Any) -> Any:
+        word = _within(builder, word, _constant(_WORDS, -HALF), _constant(_WORDS, HALF - 1))
+        found = []
+        for first in (0, LANES // 2):
+            entries = _shuffled(builder, (word, word), list(range(first, first + LANES // 2)))
+            name = "llvm.x86.avx2.gather.d.d.256"
+            found.append(_call(builder, name, half, _constant(half, 0), table, entries, every, size))
+        return _shuffled(builder, found, list(range(LANES)))
+
+    return _to_pairs(code, look_up)
 
 
 def _to_quads(code: _VectorCode, low: int, high: Any, make: Callable[[list[list[Any]]], list[Any]]) -> Finish:
@@ -247,15 +285,15 @@ def _to_quads(code: _VectorCode, low: int, high: Any, make: Callable[[list[list[
     builder, shift = code.builder, code.spread(5)
     pack = "llvm.x86.avx512.packssdw.512"  # which cuts at the ends of 16 bits
 
-    def finish(first: Any, totals: list[list[Any]]) -> None:
+    def finish(first: Any, v: int, totals: list[list[Any]]) -> None:
         halves = []
-        for v in range(VECTORS):
-            words = [builder.ashr(own[v], shift) for own in totals]
-            packed = [_call(builder, pack, _PAIRS, *words[k : k + 2]) for k in (0, 2)]
+        for k in range(len(totals[0])):
+            words = [builder.ashr(own[k], shift) for own in totals]
+            packed = [_call(builder, pack, _PAIRS, *words[row : row + 2]) for row in (0, 2)]
             halves.append([_within(builder, half, _constant(_PAIRS, low), high) for half in packed])
         group = builder.sdiv(first, _INDEX(HIGH))
-        for v, quads in enumerate(make(halves)):
-            code.store(quads, code.arrays[1], code.word(group, v))
+        for k, quads in enumerate(make(halves)):
+            code.store(quads, code.arrays[1], code.word(group, v + k))
 
     return finish
 
@@ -310,15 +348,16 @@ def _look_up(code: _VectorCode) -> Finish:
 
 
 pairs_to_sums, quads_to_sums = _layer(_plus_pairs, _keep), _layer(_plus_quads, _keep)
-pairs_to_pairs = _layer(_plus_pairs, _cut_to_pairs)
+pairs_to_pairs, pairs_gathered = _layer(_plus_pairs, _cut_to_pairs), _layer(_plus_pairs, _gather)
 quads_to_quads = _layer(_plus_quads, _cut_to_quads)
 pairs_looked_up, quads_looked_up = _layer(_plus_pairs, _look_up), _layer(_plus_quads, _look_up)
 """Do a layer of a tile: sums of biases and products, and what becomes of them.
 
-Called with ``(inputs, made, sums, weights, biases, tables)``, where ``made`` are the groups that are made of
-sums, and with numbers: the first of the weights, the groups of inputs, the first of the biases, how many
-outputs there are, a multiple of :data:`HIGH`, 1 where the products are added to the sums that are there
-instead of to biases, the shift, and the limit or the first byte of the table.
+Called with ``(inputs, made, sums, weights, biases, bytes, words)``, where ``made`` are the groups that are
+made of sums, and the last two are tables; and with numbers: the first of the weights, the groups of inputs,
+the first of the biases, how many outputs there are, a multiple of :data:`HIGH`, 1 where the products are
+added to the sums that are there instead of to biases, the shift, and the limit or the first entry of the
+table.
 """
 
 
