@@ -49,7 +49,7 @@ from pearl_marl.spec import EnvSpec, check_slots, word_bits
 if TYPE_CHECKING:
     from pearl_marl.policies.golden_policy import GoldenPolicy
 
-PROTOCOL_VERSION = 2
+PROTOCOL_VERSION = 3
 MAGIC = 0x4C524150  # "PARL", little-endian
 
 DATA_WIDTHS = (32, 64, 128, 256, 512, 1024)

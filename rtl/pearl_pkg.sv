@@ -4,7 +4,7 @@
 package pearl_pkg;
 
   localparam logic [31:0] MAGIC = 32'h4C52_4150;
-  localparam int unsigned PROTOCOL_VERSION = 2;
+  localparam int unsigned PROTOCOL_VERSION = 3;
 
   // Cycles from a read enable to the word, of block RAM as of registers.
   localparam int unsigned READ_LATENCY = 2;

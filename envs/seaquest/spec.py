@@ -7,11 +7,14 @@ from typing import Any
 from pearl_marl.envs.minatar import SIDE, checked_options, spec_parts
 from pearl_marl.envs.minatar_planes import number
 from pearl_marl.layout import Layout
+from pearl_marl.planes import BoardCells, mark, mark_moving
 from pearl_marl.spec import EnvSpec, Field, Golden
 
 from .step import (
     CHANCE_BITS,
+    DEEPEST,
     LAST_RAMP,
+    MAX_DIVERS,
     MOVE_RAMPS,
     SLOWEST_MOVE,
     SLOWEST_SPAWN,
@@ -23,10 +26,11 @@ from .step import (
 )
 
 CHANNELS = 10
+SEA = BoardCells(DEEPEST, SIDE, SIDE * CHANNELS, CHANNELS)
 FRONT, BACK, OWN_BULLET, TRAIL, HOSTILE_BULLET, FISH, SUBMARINE, OXYGEN, ABOARD, DIVER = range(CHANNELS)
 
 
-def mark(row: Any, x: int, y: int, channel: int) -> None:
+def mark_cell(row: Any, x: int, y: int, channel: int) -> None:
     """Set one element of an observation; nothing where the cell is not on the board."""
     if 0 <= x < SIDE and 0 <= y < SIDE:
         row[(y * SIDE + x) * CHANNELS + channel] = 1
@@ -34,7 +38,7 @@ def mark(row: Any, x: int, y: int, channel: int) -> None:
 
 def mark_trail(row: Any, x: int, y: int, rightward: int) -> None:
     """Mark the cell that something came from."""
-    mark(row, x - 1 if rightward else x + 1, y, TRAIL)
+    mark_cell(row, x - 1 if rightward else x + 1, y, TRAIL)
 
 
 def unpack(view: View, row: Any) -> None:
@@ -42,35 +46,34 @@ def unpack(view: View, row: Any) -> None:
     for k in range(SIDE * SIDE * CHANNELS):
         row[k] = 0
     x, y = int(view.x), int(view.y)
-    mark(row, x, y, FRONT)
-    mark(row, x - 1 if view.facing_right else x + 1, y, BACK)
-    for k in range(view.oxygen_bar):
-        mark(row, k, SIDE - 1, OXYGEN)
-    for k in range(view.aboard):
-        mark(row, SIDE - 2 - k, SIDE - 1, ABOARD)
+    mark_cell(row, x, y, FRONT)
+    mark_cell(row, x - 1 if view.facing_right else x + 1, y, BACK)
+    for k in range(SIDE):
+        row[((SIDE - 1) * SIDE + k) * CHANNELS + OXYGEN] = view.oxygen_bar > k
+    for k in range(MAX_DIVERS):
+        row[((SIDE - 1) * SIDE + SIDE - 2 - k) * CHANNELS + ABOARD] = view.aboard > k
     for word in view.bullets:
         bullet = int(word)
         if bullet >> 9:
-            mark(row, bullet & 15, bullet >> 4 & 15, OWN_BULLET)
+            mark_cell(row, bullet & 15, bullet >> 4 & 15, OWN_BULLET)
     for word in view.divers:
         diver = int(word)
         if diver >> 8:
             x, y = diver & 15, (diver >> 4 & 7) + 1
-            mark(row, x, y, DIVER)
+            mark_cell(row, x, y, DIVER)
             mark_trail(row, x, y, diver >> 7 & 1)
     enemies, hostile = view.enemies, view.hostile
-    left = int(enemies.alive)
-    while left:
-        bit = left & -left
-        left ^= bit
-        x, y = number(enemies.column, bit), number(enemies.row, bit) + 1
-        mark(row, x, y, SUBMARINE if enemies.submarine & bit else FISH)
-        mark_trail(row, x, y, enemies.rightward & bit)
-    left = int(hostile.alive)
-    while left:
-        bit = left & -left
-        left ^= bit
-        mark(row, number(hostile.column, bit), number(hostile.row, bit) + 1, HOSTILE_BULLET)
+    mark_moving(
+        enemies.alive,
+        enemies.submarine,
+        enemies.rightward,
+        enemies.row,
+        enemies.column,
+        SEA,
+        (FISH, SUBMARINE, TRAIL),
+        row,
+    )
+    mark(hostile.alive, hostile.row, hostile.column, 0, SEA, HOSTILE_BULLET, row)
 
 
 def minatar_attributes(state: State) -> dict[str, Any]:

@@ -101,6 +101,8 @@ def check_identity(name: str, read: Read, build: Build) -> None:
 def _what_differs(field: Control, theirs: int, spec: EnvSpec, layout: MemoryMap) -> str:
     """Return what hardware was built for, as far as a word of its identity tells, and what to do."""
     k, known = spec.agents, [get_spec(name) for name in names()]
+    if field is Control.PROTOCOL_VERSION:
+        return "it is built by another version of this program; build it anew"
     if field is Control.N_ENVS:
         ours = layout.n_envs * k
         return f"it is built for {theirs * k:,} agents, not {ours:,}: take as many, or build it anew"

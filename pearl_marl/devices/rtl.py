@@ -44,6 +44,8 @@ class Rtl(CommBram):
     """
 
     name = "rtl"
+    patience = 600.0
+    """A simulated step of a large network on planes may take longer than a board's ten seconds."""
 
     def __init__(
         self,

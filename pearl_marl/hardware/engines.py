@@ -79,7 +79,9 @@ def _network(policy: IntegerNetwork, drawn: bool, layout: MemoryMap) -> Engine:
     values += [
         int(edge) for layer in layers[:-1] if len(layer.activation) for edge in _edges(layer.activation)
     ]
-    rounds = min(ROUNDS if len(layers) > 1 else 1, layout.groups)
+    # Filters make the first layer so long that its pauses do not count.
+    many = len(layers) > 1 and not isinstance(inputs, Patches)
+    rounds = min(ROUNDS if many else 1, layout.groups)
     if isinstance(inputs, Patches):
         weights.append(inputs.weights)
     return Engine(

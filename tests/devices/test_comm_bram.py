@@ -86,7 +86,13 @@ def opened(device: OverMemory, **config: object) -> OverMemory:
     ("word", "value", "says"),
     [
         (Control.MAGIC, 0xFFFFFFFF, f"magic 0xffffffff, this batch needs {MAGIC:#x}"),
-        (Control.PROTOCOL_VERSION, 9, "protocol_version 9, this batch needs 2"),
+        (
+            Control.PROTOCOL_VERSION,
+            2,
+            "protocol_version 2, this batch needs 3: it is built by another version of this program",
+        ),
+        # With an engine for a table, which stands in the upper half.
+        (Control.PROTOCOL_VERSION, 2 | 1 << 16, "protocol_version 2, this batch needs 3"),
         (Control.ENV_HASH, 5, "env_hash 0x5, this batch needs 0x"),
         (Control.N_ENVS, 4096, "n_envs 4096, this batch needs 20"),
         (Control.PE_NUM, 8, "pe_num 8, this batch needs 4"),

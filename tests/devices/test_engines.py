@@ -290,8 +290,8 @@ def test_the_first_step_of_a_rollout_that_differs_is_found() -> None:
 class Simulated:
     """A simulated board as the memory of a fake one at a serial port."""
 
-    def __init__(self) -> None:
-        build = Build.of(SPEC, 7, 4, 32, TABLE)
+    def __init__(self, engine: Engine = TABLE) -> None:
+        build = Build.of(SPEC, 7, 4, 32, engine)
         self._simulation = Simulation(library(build), build.layout, False, None)
 
     def __setitem__(self, place: slice, data: bytes) -> None:

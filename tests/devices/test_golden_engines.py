@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl import get_spec
-from pearl_marl.devices import BatchConfig, Device, Native, Rtl
+from pearl_marl.devices import BatchConfig, Device, Lockstep, Native, Rtl, Serial, Sharded
+from pearl_marl.devices.comm_bram import CommBram
 from pearl_marl.devices.identity import check_identity, identity, stated_map
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.golden import Draws
@@ -26,6 +28,8 @@ from ..rtl.random_policies import random_table
 from ..toy_fields import RELAY
 from ..toy_world import MEADOW, NIM
 from .boards import OwnBoard
+from .test_engines import Simulated
+from .test_serial import Fake
 
 SPEC = get_spec("CliffWalking")
 NEXT = AutoresetMode.NEXT_STEP
@@ -136,6 +140,30 @@ def test_a_board_says_which_function_it_has() -> None:
             device.rollout(wrong, 3)
     assert_same(device, native, policy, 30)
     device.close()
+
+
+@pytest.mark.parametrize("way", ["serial", "sharded", "lockstep"])
+def test_an_engine_is_found_behind_every_link(way: str) -> None:
+    """And does the rollouts: the host does no step of them."""
+    policy = GoldenPolicy(SPEC, walk)
+    engine, settings = golden(policy), {"n_envs": 7, "max_cycles": 13}
+    fake = Fake()
+    device: Device
+    if way == "serial":
+        fake.memory = Simulated(engine)  # type: ignore[assignment]
+        device = Serial(fake.port, timeout=20)
+    elif way == "sharded":
+        settings["n_envs"] = 8
+        device = Sharded([OwnBoard(2, 32, engine=engine), Rtl(2, 32, engine=engine)])
+    else:
+        device = Lockstep(Rtl(4, 32, engine=engine), "reference")
+    opened(device, SPEC, **settings)
+    native = opened(Native(), SPEC, **settings)
+    assert device.has_engine
+    with mock.patch.object(CommBram, "_step", side_effect=AssertionError("a step by the host")):
+        assert assert_same(device, native, policy, 30)
+    device.close()
+    fake.unplug()
 
 
 def test_functions_have_the_same_number_if_they_do_the_same() -> None:

@@ -118,6 +118,7 @@ CASES = [
                 32,
             ),
             ("RobotWarehouse", NETWORK, [8], {"n_envs": 3, "max_cycles": 11}, 32),
+            ("Seaquest", PLANES, [8], {"n_envs": 9, "max_cycles": 25}, 64),
             ("FrozenLake", TABLE, None, {"n_envs": 20}, 32),
             ("Blackjack", TABLE._replace(table_rows=1024), None, {"n_envs": 20}, 32),
             (

@@ -27,7 +27,7 @@ from pearl_marl.devices.simulator.simulation import Simulation
 from pearl_marl.devices.xdma_transport import SERVER_LOCK, XdmaTransport
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware.build import Build
-from pearl_marl.memory_map import Control, Doorbell, Status
+from pearl_marl.memory_map import PROTOCOL_VERSION, Control, Doorbell, Status
 from pearl_marl.spec import EnvSpec
 from pearl_marl.testing import assert_same_trajectory, trajectory
 
@@ -202,8 +202,11 @@ def test_a_board_for_something_else_is_refused(board: Path, monkeypatch: pytest.
         Xdma(board).open(BatchConfig(spec=get_spec("Blackjack"), n_envs=N))
     with pytest.raises(DeviceError, match=r"not for CliffWalking-v0 with {'is_slippery': True}"):
         Xdma(board).open(BatchConfig(spec=SPEC.with_options(is_slippery=True), n_envs=N))
-    monkeypatch.setattr("pearl_marl.devices.identity.PROTOCOL_VERSION", 3)
-    with pytest.raises(DeviceError, match="has protocol_version 2, this batch needs 3"):
+    newer = PROTOCOL_VERSION + 1
+    monkeypatch.setattr("pearl_marl.devices.identity.PROTOCOL_VERSION", newer)
+    with pytest.raises(
+        DeviceError, match=f"has protocol_version {PROTOCOL_VERSION}, this batch needs {newer}"
+    ):
         Xdma(board).open(CONFIG)
     monkeypatch.undo()
     Xdma(board).open(CONFIG).close()  # a refusal leaves the board free

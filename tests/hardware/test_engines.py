@@ -30,6 +30,7 @@ def test_an_engine_takes_the_policy_that_it_is_for() -> None:
         engine = build.layout.engine
         assert engine is not None
         assert (engine.kind, engine.drawn) == (kind, policy.draws > 0)
+        assert (engine.rounds > 1) == (kind == "network" and len(policy.layers) > 1)
         assert policy_words(policy, engine)
     rule = GoldenPolicy(cart, balance)
     assert with_engine(Build.of(cart, 40, 4), rule).layout.engine == Engine("golden", function=rule)

@@ -153,6 +153,32 @@ MODULES = {
         )
         for rows, elements, bits, products in ((2, 4, 32, 4), (1, 7, 6, 3), (3, 2, 33, 8))
     ],
+    "patches": [
+        variant(
+            "pearl_patches",
+            {
+                "ROWS": rows,
+                "HEIGHT": height,
+                "WIDTH": width,
+                "PLANES": planes,
+                "FILTERS": filters,
+                "PRODUCTS": products,
+            },
+            rows=rows,
+            height=height,
+            width=width,
+            planes=planes,
+            filters=filters,
+            products=products,
+        )
+        for rows, height, width, planes, filters, products in (
+            (2, 4, 5, 2, 4, 2),
+            # Filters that do not fill their words; one patch of one plane.
+            (1, 5, 3, 3, 5, 3),
+            (1, 3, 3, 1, 2, 4),
+            (3, 6, 7, 4, 6, 2),
+        )
+    ],
     "choice": [
         variant(
             "pearl_choice",
