@@ -13,13 +13,13 @@ exhaustive = False
 
 KINDS = (
     "Blackjack",
+    "Breakout",
     "CartPole",
     "CliffWalking",
     "ConnectFour",
     "LevelBasedForaging",
     "Overcooked",
     "Pendulum",
-    "Seaquest",
 )
 """Environments that differ in what interfaces and devices can tell apart: spaces, draws, masks, turns,
 worlds, pictures. The others also make observations in other ways, so tests of that take all of them."""

@@ -47,9 +47,9 @@ def measure_host(spec: EnvSpec, n_envs: int, rounds: int = 200) -> HostTimes:
     device = NoHardware().open(config)
     answers = device.answers
     device.reset(seed=0)
-    actions = random_actions(spec, np.random.default_rng(0), n_envs * spec.agents)
-    times = []
+    rng, times = np.random.default_rng(0), []
     for _ in range(rounds + 2):  # the first ones load the code
+        actions = random_actions(spec, rng, config.n_agents, device.action_masks)
         began = time.thread_time()
         device.step(actions)
         ended = time.thread_time()

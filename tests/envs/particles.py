@@ -25,6 +25,10 @@ def oracle(spec: EnvSpec, game: Any) -> Rules:
     """Return MPE's step from states of ours, whose discs are held at the ends of the fields of ours."""
     limits = {field.name: (field.low, field.high) for field in spec.state}
 
+    def padded(observation: Array) -> Array:
+        """Return an observation as long as any agent's of the world."""
+        return np.pad(observation, (0, spec.observation_size - len(observation)))
+
     def step(state: Any, actions: list[Any], draws: list[int]) -> Outcome:
         particles_oracle.pose(game, state)
         game.current_actions = list(actions)
@@ -36,9 +40,9 @@ def oracle(spec: EnvSpec, game: Any) -> Rules:
                     name = f"agents_{k}_{v}{axis}"
                     after[name] = vector[place] = np.clip(vector[place], *limits[name])
         return Outcome(
-            observations=[game.scenario.observation(agent, game.world) for agent in agents],
+            observations=[padded(game.scenario.observation(agent, game.world)) for agent in agents],
             rewards=[game.rewards[name] for name in game.possible_agents],
-            terminated=[False] * len(agents),
+            terminated=[game.scenario.is_terminal(game.world)] * len(agents),
             state=after,
             undecided=any(abs(gap) < 1e-6 for gap in gaps(game)),
         )
@@ -55,28 +59,32 @@ def gaps(game: Any) -> list[float]:
 def crowded(spec: EnvSpec, n: int, side: float) -> list[Array]:
     """Return states of discs at any place of a square in the middle, so that many of them touch."""
     generator, fast = np.random.default_rng(4), 1.5
-    ends = [fast if field.name[-2] == "v" else side / 2 for field in spec.state]
+    ends = [fast if field.name[-2] == "v" else min(side / 2, field.high) for field in spec.state]
     return [words(generator, field, -end, end, n) for field, end in zip(spec.state, ends, strict=True)]
 
 
-def least_distances(spec: EnvSpec, state: Sequence[Array], colliding: Sequence[str]) -> Array:
-    """Return how near to each other the nearest two discs are in each state."""
+def least_distances(spec: EnvSpec, state: Sequence[Array], obstacles: bool) -> Array:
+    """Return the distance of the nearest two discs in each state, of which one at least is an agent."""
     named = {field.name: values(word, field) for field, word in zip(spec.state, state, strict=True)}
-    places = [
-        (named[f"{name}_x"], named[f"{name}_y"])
-        for name in (key.removesuffix("_x") for key in named if key.endswith("_x"))
-        if name.startswith(tuple(colliding))
+    discs = [key.removesuffix("_x") for key in named if key.endswith("_x")]
+    pairs = [
+        (a, b)
+        for a, b in itertools.combinations(discs, 2)
+        if a.startswith("agents") and (obstacles or b.startswith("agents"))
     ]
-    return np.min([np.hypot(a[0] - b[0], a[1] - b[1]) for a, b in itertools.combinations(places, 2)], 0)
+    return np.min(
+        [np.hypot(*(named[f"{a}_{axis}"] - named[f"{b}_{axis}"] for axis in "xy")) for a, b in pairs], 0
+    )
 
 
-def errors_of(spec: EnvSpec, move: Move, colliding: Sequence[str] = ("agents",)) -> dict[str, float]:
+def errors_of(spec: EnvSpec, move: Move, obstacles: bool = False) -> dict[str, float]:
     """Return the greatest errors of places, speeds and rewards in units of the last place.
 
-    Those of speeds, and of rewards for places, are over ``1 + (NEAR / distance)**2``, by the distance of the
-    nearest two discs: near each other, their places do not tell well in which direction they are pushed.
+    With ``obstacles``, landmarks push agents too. Errors of speeds are over ``1 + (NEAR / distance)**2``, by
+    the distance of the nearest two discs: near each other, their places do not tell well in which direction
+    they are pushed.
     """
-    relative = 1 + (NEAR / least_distances(spec, move.before, colliding)) ** 2
+    relative = 1 + (NEAR / least_distances(spec, move.before, obstacles)) ** 2
     worst: dict[str, float] = defaultdict(float)
     for name, error in move.errors.items():
         kind = name if name in ("reward", "observation") else name.rpartition("_")[2].rstrip("xy") or "place"

@@ -127,6 +127,12 @@ def test_what_is_measured_of_the_host_has_ends_in_it() -> None:
     assert 0 < times.unpack < 0.1
 
 
+def test_the_host_is_measured_with_actions_that_masks_allow() -> None:
+    """Where agents of one table have unlike masks from the first step on."""
+    times = measure_host(get_spec("LeducPoker"), 64, rounds=2)
+    assert min(times) > 0
+
+
 HOST = HostTimes(pack=10e-6, unpack=40e-6)
 
 TARGET = clocked("xc7", 100.0)

@@ -1,0 +1,1 @@
+"""SimpleTag: slow adversaries chase faster agents around obstacles."""
