@@ -135,7 +135,7 @@ def _trained(task: WorldTask, seed: int, quick: bool) -> list[Row]:
     share = 1 if spec.turns else spec.agents
     judged = spec.with_options(**task.judged_by) if task.judged_by else spec
     n = (QUICK_EPISODES if quick else EPISODES) // spec.agents * spec.agents
-    value = evaluate(policy, judged, n, FRESH)[0] * share
+    value = evaluate(policy, judged, n, FRESH)["eval_return"] * share
     same = {"task": task.name, "algorithm": task.algorithm, "n_agents": settings.n_agents, "seed": seed}
     curve = [
         row_of(

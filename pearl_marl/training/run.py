@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import difflib
 import math
+import re
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -279,13 +280,11 @@ class TrainingRun:
         """Note the metrics, and keep the policy if it is the best so far."""
         trainer, spec = self.trainer, self.spec
         with threads_for(spec, trainer.settings):
-            mean, deviation = evaluate(trainer.policy, spec, self.evaluated)
+            figures = evaluate(trainer.policy, spec, self.evaluated)
             if self.films:
                 film(trainer.policy, spec, self.folder.path / "films" / f"{trainer.done:06}.gif")
-        row = {"seconds": time.perf_counter() - self._began, **trainer.figures()}
-        row |= {"eval_return": mean, "eval_deviation": deviation}
-        if spec.agents > 1 and not spec.turns:
-            row["eval_world_return"] = mean * spec.agents
+        row = {"seconds": time.perf_counter() - self._began, **trainer.figures(), **figures}
+        mean = figures["eval_return"]
         self.folder.report(trainer.agent_steps, **row)
         # A policy that always beats a random player can still become better at beating others.
         if mean > self.best or spec.turns:
@@ -355,10 +354,15 @@ def _check_worlds(spec: EnvSpec, algorithm: str, settings: Any) -> None:
         raise ArgumentError(f"agents of {name} share worlds, and --shards is for those that are alone")
 
 
-def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> tuple[float, float]:
-    """Return mean and standard deviation of the return of ``n`` agents' first episodes.
+def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> dict[str, Any]:
+    """Return figures of the return of ``n`` agents' first episodes, by the names of metrics.
+
+    ``eval_return`` and ``eval_deviation`` are mean and standard deviation. Of worlds of several agents
+    there are also the mean of each agent, by its role and number (``eval_return_agent_0``), and that of all
+    agents of a world together, ``eval_world_return``.
 
     In a game of turns, it is the return against random players: against itself, every policy has the same.
+    An agent's is that in its seat, ``None`` where the policy never had it.
     """
     policy.seed(seed)
     if spec.turns:
@@ -370,5 +374,14 @@ def evaluate(policy: Any, spec: EnvSpec, n: int, seed: int = 1) -> tuple[float, 
         counted = np.ones(n, np.bool_)
     for _ in evaluation.run():
         pass
-    returns = evaluation.returns[counted]
-    return float(returns.mean()), float(returns.std())
+    returns = evaluation.returns
+    mean, deviation = float(returns[counted].mean()), float(returns[counted].std())
+    figures: dict[str, Any] = {"eval_return": mean, "eval_deviation": deviation}
+    if spec.agents > 1:
+        names = [role.name for role in spec.roles] or ["agent"] * spec.agents
+        for k, name in enumerate(names):
+            own = returns[k :: spec.agents][counted[k :: spec.agents]]
+            figures[re.sub(r"\W", "_", f"eval_return_{name}_{k}")] = float(own.mean()) if len(own) else None
+        if not spec.turns:
+            figures["eval_world_return"] = mean * spec.agents
+    return figures

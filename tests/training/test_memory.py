@@ -264,5 +264,5 @@ def test_a_pole_whose_velocities_nobody_sees(memory: str, algorithm: str, seed: 
     best = 0.0
     while best < 475 and trainer.done < settings.iterations:
         trainer.iterate()
-        best = max(best, evaluate(trainer.policy, POSITIONS, 100)[0])
+        best = max(best, evaluate(trainer.policy, POSITIONS, 100)["eval_return"])
     assert best >= 475 if memory == "gru" else best < 100

@@ -13,9 +13,10 @@ import pytest
 
 from pearl_marl import get_spec
 from pearl_marl.errors import ArgumentError
+from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies.loading import load_policy
 
-from ..toy_world import NIM
+from ..toy_world import MEADOW, NIM
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 training = importlib.import_module("pearl_marl.training.run")
@@ -377,8 +378,34 @@ def test_games_of_turns_are_evaluated_against_random_players() -> None:
         def function(obs: Any, masks: Any) -> Any:
             return np.where(masks.any(1), np.maximum(obs % 4, 1) - 1, 0)
 
-    mean, _ = training.evaluate(Perfect, NIM, 400)
-    assert 0.7 < mean < 1
+    figures = training.evaluate(Perfect, NIM, 400)
+    assert 0.7 < figures["eval_return"] < 1
+    seats = figures["eval_return_agent_0"], figures["eval_return_agent_1"]
+    assert sum(seats) / 2 == pytest.approx(figures["eval_return"])
+    assert seats[0] > seats[1], "who begins can win every game"
+    assert training.evaluate(Perfect, NIM, 2)["eval_return_agent_1"] is None, "one world, where it sits first"
+
+
+def test_returns_are_told_by_role_and_agent() -> None:
+    """Hares and snails that go right where they may, by the returns of the episodes themselves."""
+
+    class Rightwards:
+        beside = None
+        seed = staticmethod(lambda seed: None)
+
+        @staticmethod
+        def function(obs: Any, masks: Any) -> Any:
+            return np.where(masks[:, 2] == 1, 2, masks.argmax(1))
+
+    figures = training.evaluate(Rightwards, MEADOW, 200)
+    evaluation = Evaluation(MEADOW, Rightwards.function, 200, seed=1)
+    for _ in evaluation.run():
+        pass
+    roles = ("hare_0", "hare_1", "snail_2", "snail_3")
+    each = [figures[f"eval_return_{role}"] for role in roles]
+    assert each == pytest.approx(evaluation.world_returns.mean(0))
+    assert len(set(each)) == 4
+    assert figures["eval_world_return"] == pytest.approx(sum(each))
 
 
 def test_a_team_learns_to_forage(tmp_path: Path) -> None:

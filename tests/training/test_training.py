@@ -220,7 +220,7 @@ def test_ppo_balances_the_pole(tmp_path: Path) -> None:
     rows = run("ppo", "CartPole", tmp_path, goal=475.0)
     assert rows[-1]["eval_return"] >= 475
     best = policy.load(tmp_path)
-    assert training.evaluate(best, get_spec("CartPole"), EVALUATED)[0] == rows[-1]["eval_return"]
+    assert training.evaluate(best, get_spec("CartPole"), EVALUATED)["eval_return"] == rows[-1]["eval_return"]
 
 
 @pytest.mark.parametrize("env", ["CartPole", "Taxi", "Blackjack", "Pendulum"])
