@@ -92,6 +92,15 @@ MINATAR: dict[str, Any] = {
     "width": 128,
 }
 
+# Grids of cells, and rewards that are rare at first.
+GRID: dict[str, Any] = {
+    "n_agents": 512,
+    "minibatch": 2048,
+    "learning_rate": 1e-3,
+    "discount": 0.99,
+    "entropy": 0.01,
+}
+
 # A player that always does the same is seen through: much entropy, and actions stay random.
 POKER: dict[str, Any] = {
     "n_agents": 1024,
@@ -166,25 +175,11 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     # To come up for air is of no use until the air is gone: much entropy, and a long view.
     ("ppo", "Seaquest"): MINATAR | {"iterations": 250, "discount": 0.995, "entropy": 0.03},
     # For a size of 5.
-    ("ppo", "MiniGridDoorKey"): {
-        "n_agents": 512,
-        "rollout_length": 32,
-        "iterations": 120,
-        "minibatch": 2048,
-        "learning_rate": 1e-3,
-        "discount": 0.99,
-        "entropy": 0.01,
-    },
+    ("ppo", "MiniGridDoorKey"): GRID | {"iterations": 120},
+    # Many places look alike: actions are sampled, so that an agent does not walk in circles.
+    ("ppo", "MiniGridFourRooms"): GRID | {"gae_lambda": 0.95, "temperature": 1.0},
     # For a grid of 6 by 6.
-    ("ppo", "Snake"): {
-        "n_agents": 512,
-        "rollout_length": 32,
-        "iterations": 80,
-        "minibatch": 2048,
-        "learning_rate": 1e-3,
-        "discount": 0.99,
-        "entropy": 0.01,
-    },
+    ("ppo", "Snake"): GRID | {"iterations": 80},
     # An episode of 25 steps is a rollout. An agent has to know which of the landmarks is its own.
     ("ppo", "SimpleSpread"): {
         "n_agents": 1536,
