@@ -1,0 +1,1 @@
+"""Elevators: cars fetch passengers who appear by chance, and take them up or down."""
