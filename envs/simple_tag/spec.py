@@ -10,7 +10,7 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.checks import checked_flag, checked_integer
 from pearl_marl.layout import Real
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import EnvSpec, Role
 
 from .step import CAUGHT, make_golden
 
@@ -43,6 +43,12 @@ def configure(
     terminates = checked_flag("terminate_on_success", terminate_on_success)
     options = {"num_good": good, "num_adversaries": adversaries, "num_obstacles": obstacles}
 
+    size = 4 + 2 * obstacles + 2 * (good + adversaries - 1) + 2 * good
+    all_elements, without_own_velocity = (Box(-np.inf, np.inf, (k,), np.float32) for k in (size, size - 2))
+    action_space = Box(0, 1, (5,), np.float32) if continuous else Discrete(5)
+    chasing = Role("adversary", all_elements, action_space)
+    chased = Role("agent", without_own_velocity, action_space)
+
     def draw(state: Any) -> npt.NDArray[np.uint8]:
         """Draw a state as MPE does; it needs MPE2."""
         from pearl_marl.envs import particles_oracle
@@ -55,13 +61,9 @@ def configure(
         summary="Chase agents that are faster, or get away from all who chase",
         rewards=None,
         reward=Real[-CAUGHT * adversaries - 20, CAUGHT * adversaries * good],
-        observation_space=Box(
-            -np.inf,
-            np.inf,
-            (4 + 2 * obstacles + 2 * (good + adversaries - 1) + 2 * good,),
-            np.float32,
-        ),
-        action_space=Box(0, 1, (5,), np.float32) if continuous else Discrete(5),
+        observation_space=all_elements,
+        action_space=action_space,
+        roles=(*[chasing] * adversaries, *[chased] * good),
         golden=make_golden(good, adversaries, obstacles, terminates),
         agents=good + adversaries,
         max_cycles=25,

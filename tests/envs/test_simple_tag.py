@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.spaces import Box
 from scipy import stats
 
 import pearl_marl
@@ -86,15 +85,15 @@ def test_starts_are_uniform() -> None:
 
 
 def test_the_spaces_are_mpes() -> None:
-    """Those of adversaries; good agents' observations are shorter there."""
+    """Of both roles: good agents' observations are shorter."""
     for case in CASES:
         spec = spec_of(case)
         game = made(spec)
-        theirs = [game.observation_space(name) for name in game.possible_agents]
-        assert isinstance(spec.observation_space, Box)
-        assert spec.observation_space == theirs[0]
-        assert theirs[-1].shape == (spec.observation_size - 2,)
-        assert spec.action_space == game.action_space("agent_0")
+        for name, role in zip(game.possible_agents, spec.roles, strict=True):
+            assert name.rpartition("_")[0] == role.name
+            assert role.observation_space == game.observation_space(name)
+            assert role.action_space == game.action_space(name)
+        assert spec.observation_space == spec.roles[0].observation_space
         assert (spec.agents, spec.max_cycles) == (len(game.possible_agents), game.max_cycles)
 
 
