@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from pearl_marl import EnvSpec
 from pearl_marl.envs import particles_oracle
-from pearl_marl.porting.oracle import Move, Outcome, Rules, one_by_one
+from pearl_marl.porting.oracle import Move, Outcome, Rules, compare, one_by_one
 
 from .fixed import values, words
 
@@ -91,4 +91,12 @@ def errors_of(spec: EnvSpec, move: Move, obstacles: bool = False) -> dict[str, f
         size = error.reshape(len(relative), -1).max(1) / 2.0 ** -spec.state[0].fraction
         by = 1.0 if kind in ("place", "reward") else relative
         worst[kind] = max(worst[kind], float((size / by).max()))
+    return worst
+
+
+def errors_in_play(spec: EnvSpec, game: Any, steps: int, obstacles: bool = False) -> Counter[str]:
+    """Return the greatest errors, as :func:`errors_of` has them, in so many steps of random play."""
+    n, worst = 10 if steps < 25 else 64, Counter[str]()
+    for move in compare(spec, oracle(spec, game), n, steps, seed=2, posed=True, tolerance=math.inf):
+        worst |= Counter(errors_of(spec, move, obstacles))
     return worst
