@@ -104,12 +104,13 @@ def test_evaluations_of_trainings_run_beside(monkeypatch: pytest.MonkeyPatch) ->
         return found(self, *arguments, **options)
 
     monkeypatch.setattr(Native, "rollout", noted)
-    mean, deviation = run.evaluate(policy, policy.spec, 50)
+    figures = run.evaluate(policy, policy.spec, 50)
     assert {type(policy).__name__ for policy in rolled_out} == {"DenseNetwork"}
     returns = Evaluation(policy.spec, policy.function, 50, seed=1)
     for _ in returns.run():
         pass
-    assert (mean, deviation) == (returns.returns.mean(), returns.returns.std())
+    assert figures["eval_return"] == returns.returns.mean()
+    assert figures["eval_deviation"] == returns.returns.std()
 
 
 def test_fields_of_other_types_are_refused() -> None:

@@ -36,10 +36,10 @@ SMALL: dict[str, Any] = {
 @pytest.mark.parametrize(("spec", "gain"), [(ROVER, 20), (LAMPS, 0.5), (GLIDER, 5), (RELAY, 0.5)])
 def test_ppo_gets_better(spec: EnvSpec, gain: float, tmp_path: Path) -> None:
     trainer = PPO(spec, "native", PPOSettings(**SMALL))
-    before, _ = evaluate(trainer.policy, spec, 200)
+    before = evaluate(trainer.policy, spec, 200)["eval_return"]
     for _ in range(12):
         trainer.update()
-    after, _ = evaluate(trainer.policy, spec, 200)
+    after = evaluate(trainer.policy, spec, 200)["eval_return"]
     assert after > before + gain
     trainer.policy.save(tmp_path / "policy.safetensors")
     again = trained.load(tmp_path / "policy.safetensors")

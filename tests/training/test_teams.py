@@ -390,7 +390,7 @@ def learned_return(algorithm: str, seed: int) -> float:
     trainer = ALGORITHMS[algorithm](TWO_STEPS, "native", settings)
     for _ in range(30):
         trainer.iterate()
-    return 2 * evaluate(trainer.policy, TWO_STEPS, 2)[0]
+    return 2 * evaluate(trainer.policy, TWO_STEPS, 2)["eval_return"]
 
 
 @pytest.mark.parametrize("seed", sampled(range(3), (0,)))
