@@ -460,14 +460,11 @@ def _take_greatest_allowed(room: TileArrays, masks: Array, start: int, count: in
 
 
 @called
-def _draw(
-    net: Prepared, room: TileArrays, field: tuple[int, int], masks: Array, draws: Array, first: int
-) -> None:
+def _draw(net: Prepared, room: TileArrays, start: int, count: int, masks: Array, draws: Array) -> None:
     """Replace the greatest by actions that are drawn; it stays where no action has a chance.
 
     A loop over the agents for each action: which one is drawn, no processor can predict.
     """
-    start, count = field
     chances, left, drawn = room.chances, room.left, room.drawn
     for s in range(len(draws)):
         left[s] = drawn[s] = 0
@@ -476,7 +473,7 @@ def _draw(
             distance = (np.int64(room.greatest[s]) - room.sums[start + j, s]) >> net.chance_shift
             # What is not allowed may be greater than the greatest.
             chance = net.chances[np.uint64(max(min(distance, ENTRIES - 1), 0))]
-            if len(masks) and not masks[first + s, j]:
+            if len(masks) and not masks[s, j]:
                 chance = 0
             chances[j, s] = chance
             left[s] += chance
@@ -510,16 +507,16 @@ def _choose(
                 word = (np.int64(sums[k, s]) * net.level[0, k] + net.level[1, k]) >> net.level_shift
                 words[first + s, k] = min(max(word, net.level[2, k]), net.level[3, k])
         return
-    start = 0
+    start, last = 0, first + n
+    own, allowed = words[first:last], masks[first:last]
     for field in range(len(net.counts)):
         count = net.counts[field]
-        if len(masks):
-            _take_greatest_allowed(room, masks[first : first + n], start, count)
+        if len(allowed):
+            _take_greatest_allowed(room, allowed, start, count)
         else:
             take_greatest((room.all_sums, room.best, room.greatest), (start, count))
-        own = words[first : first + n]
         if net.chooses == DRAWN:
-            _draw(net, room, (start, count), masks, draws[first : first + n, field], first)
+            _draw(net, room, start, count, allowed, draws[first:last, field])
         for s in range(n):
             own[s, field] = room.best[np.uint64(s)]
         start += count
