@@ -28,6 +28,16 @@ def unpacked(word: int, bits: int, count: int) -> list[int]:
     return [value - (1 << bits) if value >> (bits - 1) else value for value in found]
 
 
+async def check_values(dut: Any, due: list[tuple[list[int], int]], bits: int) -> None:
+    """Go on by a cycle; values that are valid in it are the first that are due, with its ``last``."""
+    await ReadOnly()
+    if dut.valid_o.value == 1:
+        numbers, last = due.pop(0)
+        assert unpacked(int(dut.values_o.value), bits, len(numbers)) == numbers
+        assert dut.last_o.value == last
+    await FallingEdge(dut.clk_i)
+
+
 async def write_policy(dut: Any, words: Any) -> None:
     """Write the sections of a policy, a number a cycle."""
     await FallingEdge(dut.clk_i)

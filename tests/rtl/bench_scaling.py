@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 from bench import each_variant, start
-from bench_network import packed, unpacked, write_policy
-from cocotb.triggers import FallingEdge, ReadOnly
+from bench_network import check_values, packed, write_policy
 
 from pearl_marl.hardware.policy_words import scaling_words
 from pearl_marl.memory_map import Section
@@ -47,9 +46,4 @@ async def inputs_equal_the_scaling(dut: Any, given: Any) -> None:
                     wanted.append((part.ravel().tolist(), last))
                 sent, wait = sent + 1, chunks
             wait = max(0, wait - 1)
-            await ReadOnly()
-            if dut.valid_o.value == 1:
-                numbers, last = wanted.pop(0)
-                assert unpacked(int(dut.values_o.value), VALUE_BITS, len(numbers)) == numbers
-                assert dut.last_o.value == last
-            await FallingEdge(dut.clk_i)
+            await check_values(dut, wanted, VALUE_BITS)
