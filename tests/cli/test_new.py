@@ -369,9 +369,6 @@ def test_the_new_package_passes_the_contract(installed: Installed) -> None:
     assert "rtl is bit-exact with reference over 5,600 agent-steps" in out
 
 
-UNTOUCHED = "torch.*,scipy.*,matplotlib.*,PIL.*,rich.*,typer.*,optuna.*"
-
-
 @pytest.mark.slow
 def test_a_new_world_passes_the_contract_and_types_are_right(installed: Installed) -> None:
     folder = installed.project.parent / "worlds"
@@ -383,8 +380,8 @@ def test_a_new_world_passes_the_contract_and_types_are_right(installed: Installe
     assert status == 0, out
     # The types of both packages at once, but not of libraries that an environment has nothing to do with:
     # those would take most of the time.
-    settings = folder / "mypy.ini"
-    settings.write_text(f"[mypy]\nstrict = True\n[mypy-{UNTOUCHED}]\nfollow_imports = skip\n")
+    settings, others = folder / "mypy.ini", "torch.*,scipy.*,matplotlib.*,PIL.*,rich.*,typer.*,optuna.*"
+    settings.write_text(f"[mypy]\nstrict = True\n[mypy-{others}]\nfollow_imports = skip\n")
     command = ["python", "-m", "mypy", "--config-file", str(settings), ".", str(world.project)]
     status, out = installed.run(*command, on_path=False)
     assert status == 0, out
