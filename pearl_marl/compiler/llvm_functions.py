@@ -342,7 +342,8 @@ class Code(Writer):
         constant = ir.Constant(ir.ArrayType(word, len(table)), [word(int(entry)) for entry in table])
         place = ir.GlobalVariable(self.module, constant.type, self.module.get_unique_name("table"))
         place.global_constant, place.linkage, place.initializer = True, "internal", constant
-        return WordArray(self, self.bitcast(place, word.as_pointer()), type_)
+        # A constant and no instruction, as any part of a loop may read the table.
+        return WordArray(self, place.bitcast(word.as_pointer()), type_)
 
     def variable(self, start: Value) -> WordArray:
         """Return room for one word, which begins as another: what a branch or a turn of a loop changes."""

@@ -21,7 +21,7 @@ from llvmlite import ir
 from pearl_marl.base.cache import cache_folder
 from pearl_marl.batch.actions import random_actions
 from pearl_marl.compiler import kernels, llvm_loops
-from pearl_marl.compiler.llvm_functions import FAILED, Code, Value, WordArray, _Heap
+from pearl_marl.compiler.llvm_functions import FAILED, Code, Value, WordArray, _Heap, written
 from pearl_marl.compiler.llvm_words import operations
 from pearl_marl.devices import BatchConfig, Native, Reference
 from pearl_marl.envs import get_spec, names
@@ -99,6 +99,28 @@ def test_a_loop_in_parts_does_the_same(
         compiled(*found, first, m)
         for one, other in zip(expected, found, strict=True):
             np.testing.assert_array_equal(one, other)
+
+
+def test_every_part_of_a_loop_reads_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also the parts that follow the one in which it was first named."""
+    monkeypatch.setattr(llvm_loops, "MOST", 1)
+
+    def body(code: Code, arguments: dict[str, Any]) -> None:
+        words = arguments["words"]
+        for i in code.range(0, arguments["m"]):
+            entries = code.table(np.array([5, 7, 11], np.int32))
+            for k in range(3):
+                words[i + k * LANE] = entries[k]
+
+    write = written(body, ["words", "m"], {})
+
+    @numba.njit  # type: ignore[untyped-decorator]
+    def compiled(words: Any, m: int) -> None:
+        write(words, m)
+
+    words = np.zeros(3 * LANE, np.int32)
+    compiled(words, LANE)
+    assert words.reshape(3, LANE).T.tolist() == [[5, 7, 11]] * LANE
 
 
 def source_of(function: Callable[..., None]) -> str:
