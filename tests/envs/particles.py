@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from pearl_marl import EnvSpec
 from pearl_marl.envs import particles_oracle
+from pearl_marl.envs.particles import FINE, LEAST
 from pearl_marl.porting.oracle import Move, Outcome, Rules, compare, one_by_one
 
 from .fixed import values, words
@@ -82,9 +83,10 @@ def errors_of(spec: EnvSpec, move: Move, obstacles: bool = False) -> dict[str, f
 
     With ``obstacles``, landmarks push agents too. Errors of speeds are over ``1 + (NEAR / distance)**2``, by
     the distance of the nearest two discs: near each other, their places do not tell well in which direction
-    they are pushed.
+    they are pushed. Nearer than the least distance that our force is divided by, they are not compared.
     """
-    relative = 1 + (NEAR / least_distances(spec, move.before, obstacles)) ** 2
+    distance = least_distances(spec, move.before, obstacles)
+    relative = np.where(distance < LEAST / FINE, np.inf, 1 + (NEAR / distance) ** 2)
     worst: dict[str, float] = defaultdict(float)
     for name, error in move.errors.items():
         kind = name if name in ("reward", "observation") else name.rpartition("_")[2].rstrip("xy") or "place"

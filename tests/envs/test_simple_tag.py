@@ -25,8 +25,11 @@ CASES: dict[str, dict[str, Any]] = {
     "one on one": {"num_adversaries": 1, "terminate_on_success": True},
     "continuous": {"continuous_actions": True, "num_good": 3},
 }
-ULP = {"place": 0.6, "v": 3.0, "observation": 3.0, "reward": 10.0, "terminated": 0.0}
-"""The greatest errors of a step, as :func:`errors_of` has them."""
+ULP = {"place": 0.6, "v": 3.0, "observation": 3.0, "reward": 22.0, "terminated": 0.0}
+"""The greatest errors of a step, as :func:`errors_of` has them.
+
+A place outside has a price with a slope of up to 20 on each axis: half a unit of a place makes 10 of a reward.
+"""
 
 
 def spec_of(case: str) -> EnvSpec:
