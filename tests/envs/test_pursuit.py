@@ -164,7 +164,7 @@ def eager(ours: Ours, generator: np.random.Generator) -> Array:
     return chosen
 
 
-@pytest.mark.parametrize("steps", [30, pytest.param(1500, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("steps", [30, pytest.param(300, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("case", sampled(CASES, ("default", "crowded", "together")))
 def test_follows_the_oracle(case: str, steps: int) -> None:
     """Whole episodes of eager pursuers: observations, rewards, ends and states."""
