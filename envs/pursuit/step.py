@@ -56,11 +56,11 @@ def make_golden(rules: PursuitRules) -> Golden:
         caught = [one.free and is_caught(one, pursuers) for one in state.evaders]
         # Beside a surrounded one, or in the cell of the other kind.
         taken = list(zip(state.evaders, caught, strict=True))
-        catches = [any(gone and distance(me, it) == rules.surround for it, gone in taken) for me in pursuers]
+        catches = [any(lost and distance(me, it) == rules.surround for it, lost in taken) for me in pursuers]
         evaders = []
-        for (one, gone), move in zip(taken, draws.several(*[5] * rules.n_evaders), strict=True):
-            walks = one.free and not gone and not rules.freeze_evaders
-            evaders.append((moved(one, move) if walks else one)._replace(free=one.free and not gone))
+        for (one, lost), move in zip(taken, draws.several(*[5] * rules.n_evaders), strict=True):
+            walks = one.free and not lost and not rules.freeze_evaders
+            evaders.append((moved(one, move) if walks else one)._replace(free=one.free and not lost))
         rewards = [rules.category(*of_one) for of_one in zip(tagged, catches, strict=True)]
         if rules.shared_reward:
             rewards = [rules.category(sum(tagged), sum(catches))] * rules.n_pursuers

@@ -131,9 +131,9 @@ def act(game: Any, actions: list[int], draws: list[int]) -> Outcome:
     for k, (x, y) in enumerate(agent.current_position() for agent in base.pursuer_layer.allies):
         state |= {f"pursuers_{k}_x": x, f"pursuers_{k}_y": y}
     places = iter(base.evader_layer.allies)
-    for k, gone in enumerate(base.evaders_gone):
-        x, y = (np.nan, np.nan) if gone else next(places).current_position()
-        state |= {f"evaders_{k}_x": x, f"evaders_{k}_y": y, f"evaders_{k}_free": not gone}
+    for k, lost in enumerate(base.evaders_gone):
+        x, y = (np.nan, np.nan) if lost else next(places).current_position()
+        state |= {f"evaders_{k}_x": x, f"evaders_{k}_y": y, f"evaders_{k}_free": not lost}
     names = game.possible_agents
     return Outcome(
         observations=[seen[name] for name in names],
