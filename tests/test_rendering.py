@@ -20,7 +20,7 @@ from pearl_marl.spec import EnvSpec
 INSTALL = r"pip install '\.\[render\]'"
 BY_NUMPY = {
     *("Catch", "DeepSea", "Game2048", "KuhnPoker", "LeducPoker", "MemoryChain"),
-    *("Elevators", "Inventory", "Minesweeper", "Othello", "Snake"),
+    *("Elevators", "Inventory", "Minesweeper", "Othello", "Pursuit", "Snake"),
 }
 """Environments whose drawings need no library."""
 DRAWN = [

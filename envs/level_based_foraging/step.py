@@ -22,11 +22,10 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, TypeAlias
 
+from pearl_marl.envs.free_cells import CellWords, count_of
 from pearl_marl.golden import Draws, Word, another, inserted
 from pearl_marl.layout import Array, Bits, Range, Signed
 from pearl_marl.spec import Golden
-
-from .free_cells import CellWords, count_of
 
 NORTH, SOUTH, WEST, EAST, LOAD = range(1, 6)
 NOTHING, FAILED, LOADED = 0, 1, 2
@@ -192,7 +191,7 @@ def make_golden(rules: ForagingRules) -> Golden:
             least = most if rules.greatest_only else lightest[which]
             level = least + draws.digit(most - least + 1, rules.most_food - rules.least_food + 1)
             level = min(level, rules.most_food) if room else 0
-            free = grid.far_from(free, row, column)
+            free = grid.far_from(free, row, column, 2)
             # Into its place among the others, which are in order.
             food = row * size + column, level
             for k, other in enumerate(foods):

@@ -1,8 +1,8 @@
-"""The cells of a grid where food can start: bits of a few long words.
+"""The cells of a grid that are free, while things are put there one by one: bits of a few long words.
 
-Rows and columns at the edges have no food. Of the rows from 1 on, a word of 64 bits holds as many as fit, one
-above the other; within a row, a column's number is that of its bit. So a few operations count many cells, and
-the grid of 32 rows has 15 words.
+Rows and columns at the edges are never free. Of the rows from 1 on, a word of 64 bits holds as many as fit,
+one above the other; within a row, a column's number is that of its bit. So a few operations count many cells,
+and the grid of 32 rows has 15 words.
 """
 
 from collections.abc import Sequence
@@ -31,6 +31,11 @@ class CellWords(NamedTuple):
         return 64 // self.row_bits
 
     @property
+    def words(self) -> int:
+        """How many words there are."""
+        return -(-self.row_bits * (self.size - 2) // 64)
+
+    @property
     def columns(self) -> int:
         """The bits of a row that are not at an edge."""
         return (1 << self.size - 1) - 2
@@ -39,7 +44,7 @@ class CellWords(NamedTuple):
         """Return the words of an empty grid."""
         rows = [self.columns << self.row_bits * row for row in range(self.size - 2)]
         whole = sum(rows)
-        return [whole >> first & (1 << 64) - 1 for first in range(0, self.row_bits * len(rows), 64)]
+        return [whole >> 64 * k & (1 << 64) - 1 for k in range(self.words)]
 
     def without(self, free: Sequence[Word], row: Word, column: Word) -> list[Word]:
         """Return the cells without one, which may be at an edge."""
@@ -47,18 +52,20 @@ class CellWords(NamedTuple):
         bit = 1 << (place & 63)
         return [word ^ (word & bit) if place >> 6 == k else word for k, word in enumerate(free)]
 
-    def far_from(self, free: Sequence[Word], row: Word, column: Word) -> list[Word]:
-        """Return the cells that are more than two steps away from a cell that is not at an edge."""
-        by_distance = [cells & self.columns for cells in (31 << column >> 2, 7 << column >> 1, 1 << column)]
+    def far_from(self, free: Sequence[Word], row: Word, column: Word, reach: int) -> list[Word]:
+        """Return the cells that are more than so many steps away from a cell that is not at an edge."""
+        by_distance = [
+            ((1 << 2 * side + 1) - 1 << column >> side) & self.columns for side in range(reach, -1, -1)
+        ]
         # What is near a cell in row r of a word, or in a row so many above it.
-        near = [0] * (self.word_rows + 4)
-        for r in range(-2, self.word_rows + 2):
-            for other in range(max(0, r - 2), min(self.word_rows, r + 3)):
-                near[r + 2] |= by_distance[abs(r - other)] << self.row_bits * other
+        near = [0] * (self.word_rows + 2 * reach)
+        for r in range(-reach, self.word_rows + reach):
+            for other in range(max(0, r - reach), min(self.word_rows, r + reach + 1)):
+                near[r + reach] |= by_distance[abs(r - other)] << self.row_bits * other
         result = []
         for k, word in enumerate(free):
             taken = 0
-            for r, cells in enumerate(near, -2):
+            for r, cells in enumerate(near, -reach):
                 if row == 1 + self.word_rows * k + r:
                     taken = cells
             result.append(word ^ (word & taken))

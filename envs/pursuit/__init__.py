@@ -1,0 +1,1 @@
+"""Pursuit: pursuers surround evaders, who walk at random around a building."""
