@@ -90,6 +90,8 @@ def _module(kind: str, spec: EnvSpec, source: str, others: dict[str, GoldenFunct
         called: dict[str, Any] = {**functions(spec), **scalar_words.operations()}
         if simulated():
             kernel, inlined = cuda.jit, _wrapping
+            if "unpack" in called:
+                called["unpack"] = _of_wide_words(called["unpack"])
             called = {name: _wrapping(f) for name, f in {**called, **others}.items()}
         else:
             kernel, inlined = partial(_kernel, cuda, name), partial(cuda.jit, device=True, forceinline=True)
@@ -124,6 +126,16 @@ def _kernel(cuda: Any, name: str, function: Callable[..., Any]) -> Any:
 def simulated() -> bool:
     """Return whether numba's simulator stands in for the GPU, as ``NUMBA_ENABLE_CUDASIM=1`` has it."""
     return bool(import_module("numba.cuda.core").config.ENABLE_CUDASIM)
+
+
+def _of_wide_words(unpack: Callable[..., None]) -> Callable[..., None]:
+    """Return what the simulator calls as ``unpack``: sums of NumPy's bytes wrap around, compiled ones do not."""
+
+    def called(*words_and_row: Any) -> None:
+        *words, row = words_and_row
+        unpack(*map(int, words), row)
+
+    return called
 
 
 def _wrapping(function: GoldenFunction) -> GoldenFunction:

@@ -163,6 +163,8 @@ def filter_words(spec: EnvSpec, inputs: Patches, engine: Engine) -> Words:
     does not have are 0.
     """
     count, greatest = len(inputs.bias), int(bounds(spec.observation_space)[1].max())
+    if inputs.element_shift:
+        raise _refusal(f"takes planes of 0 and 1, and observations of {spec.id} are {spec.observation_dtype}")
     if greatest > 1:
         raise _refusal(f"takes planes of 0 and 1, and observations of {spec.id} reach {greatest}")
     if count > engine.filters:

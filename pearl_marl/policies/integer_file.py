@@ -126,6 +126,8 @@ def _network(about: Any, tensors: dict[str, Array]) -> IntegerNetwork:
             numbers = value if isinstance(value, tuple) else (value,)
             if not all(type(number) is int and 0 <= number < 1 << 31 for number in numbers):
                 raise ArgumentError(f"{where} has the {k} {brief(value)}")
+        if made is Patches:  # older files do not have it
+            others.setdefault("element_shift", 0)
         if {*arrays, *others} != {*made._fields}:
             raise ArgumentError(f"{where} has the fields {', '.join(sorted({*arrays, *others}))}")
         return made(**arrays, **others)

@@ -69,7 +69,7 @@ class Prepared(NamedTuple):
     width: int  # elements of an observation
     offset: Words  # one an element; of LOOKED_UP and PICKED one a choice: the row of zeros
     multiplier: Words
-    input_shift: Words
+    input_shift: Words  # of PLANES, that of sums and that of elements
     limit: int
     factors: Words2  # (choices, elements)
     table: Sums2  # (rows, width)
@@ -111,7 +111,7 @@ def prepared(network: IntegerNetwork, dtype: np.dtype[Any]) -> Prepared:
                 kind, picks = PICKED, _picks(table + layers[0].bias.astype(np.int64), head)
         case Patches():
             kind, limit, shape = PLANES, inputs.limit, np.array(inputs.shape, np.int64)
-            shift = np.array([inputs.shift], np.int64)
+            shift = np.array([inputs.shift, inputs.element_shift], np.int64)
             filters = np.array(inputs.weights.transpose(3, 1, 2, 0)[:, :, ::-1], np.int32, order="C")
             filter_bias = inputs.bias.astype(np.int32)
     weights, bias = [], []
@@ -306,7 +306,8 @@ def _see_planes(net: Prepared, elements: Array, first: int, n: int, room: TileAr
     """Put what filters find in a tile's planes in groups. Most elements are 0, and cost nothing."""
     rows, columns, planes = net.shape[0], net.shape[1], net.shape[2]
     high, wide, filters = rows - 2, columns - 2, len(net.filter_bias)
-    shift, flags, filtered, weights = net.input_shift[0], room.flags, room.filtered, net.filters.reshape(-1)
+    shift, cut, taken = net.input_shift[0], net.input_shift[1], room.taken
+    flags, filtered, weights = room.flags, room.filtered, net.filters.reshape(-1)
     words = flags.view(np.uint64)
     for s in range(n):
         if net.size == 1:
@@ -314,9 +315,9 @@ def _see_planes(net: Prepared, elements: Array, first: int, n: int, room: TileAr
             for k in range(net.width):
                 flags[k] = elements[np.uint64(start + k)]
         else:
-            take((elements, room.taken), (first + s, 1, net.width, net.size, net.signed, 1))
+            take((elements, taken), (first + s, 1, net.width, net.size, net.signed, 1))
             for k in range(net.width):
-                flags[k] = room.taken[k, 0] != 0
+                flags[k] = taken[k, 0] >> cut != 0
         for at in range(high * wide):
             for f in range(filters):
                 filtered[np.uint64(at * filters + f)] = net.filter_bias[f]
@@ -326,14 +327,19 @@ def _see_planes(net: Prepared, elements: Array, first: int, n: int, room: TileAr
             for k in range(w * 8, w * 8 + 8):
                 if not flags[k]:
                     continue
+                number = np.int32(flags[k] if net.size == 1 else taken[k, 0] >> cut)
                 plane, row, column = k % planes, k // planes // columns, k // planes % columns
                 left = max(0, column - 2)
                 length = (min(wide - 1, column) - left + 1) * filters
                 for i in range(max(0, row - high + 1), min(3, row + 1)):
                     at = ((row - i) * wide + left) * filters
                     of = ((plane * 3 + i) * 3 + 2 - column + left) * filters
-                    for f in range(length):
-                        filtered[np.uint64(at + f)] += weights[np.uint64(of + f)]
+                    if number == 1:  # as most are: nothing is multiplied
+                        for f in range(length):
+                            filtered[np.uint64(at + f)] += weights[np.uint64(of + f)]
+                    else:
+                        for f in range(length):
+                            filtered[np.uint64(at + f)] += np.int32(weights[np.uint64(of + f)] * number)
         size = net.layers[0, SIZE]
         bits = np.int32(32 // size)
         for k in range(net.layers[0, GROUPS]):

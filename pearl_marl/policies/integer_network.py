@@ -54,13 +54,18 @@ class Rows(NamedTuple):
 
 
 class Patches(NamedTuple):
-    """Elements are planes of 0 and 1, of which patches of 3 by 3 are multiplied by ``weights``."""
+    """Elements are planes of numbers from 0 on, of which patches of 3 by 3 are multiplied by ``weights``.
+
+    Elements are shifted right by ``element_shift`` first: those of planes of floats have many bits behind the
+    binary point.
+    """
 
     shape: tuple[int, int, int]  # rows, columns, planes: planes are the last axis
     weights: Array  # int16, of shape (filters, 3, 3, planes)
     bias: Array  # int32, one a filter
     shift: int
     limit: int
+    element_shift: int = 0
 
 
 class Dense(NamedTuple):
@@ -149,7 +154,7 @@ class IntegerNetwork(DevicePolicy):
             case Rows():
                 first, x = inputs.table[x @ inputs.factors.T + inputs.first].sum(1, np.int64), x[:, :0]
             case Patches():
-                planes = x.reshape(len(x), *inputs.shape)
+                planes = (x >> inputs.element_shift).reshape(len(x), *inputs.shape)
                 patches = np.lib.stride_tricks.sliding_window_view(
                     planes, (3, 3), (1, 2)
                 )  # (n, row, column, plane, 3, 3)
@@ -264,17 +269,21 @@ def _check(network: IntegerNetwork) -> None:
             added = choices * int(np.abs(inputs.table.astype(np.int64)).max(initial=0))
         case Patches():
             rows, columns, planes = inputs.shape
-            if spec.observation_dtype.kind == "f":
-                refuse(f"patches are of planes of 0 and 1, and observations are {spec.observation_dtype}")
             if spec.observation_shape != inputs.shape or inputs.weights.shape[1:] != (3, 3, planes):
                 refuse(
                     f"patches of {inputs.shape}, where observations have the shape {spec.observation_shape}"
                 )
-            sums = np.abs(inputs.weights.astype(np.int64)).sum((1, 2, 3)) + np.abs(
-                inputs.bias.astype(np.int64)
+            if not 0 <= inputs.element_shift < SUM_BITS:
+                refuse(f"elements are shifted by {inputs.element_shift}; possible are 0 to {SUM_BITS - 1}")
+            low, high = bounds(spec.observation_space)
+            if low.min() < 0:
+                refuse(f"patches are of planes of numbers from 0 on, and observations reach {low.min()}")
+            greatest = high.max((0, 1)) * 2.0 ** (max(spec.element_fractions) - inputs.element_shift)
+            sums = np.abs(inputs.weights.astype(np.float64)).sum((1, 2)) @ greatest + np.abs(
+                inputs.bias.astype(np.float64)
             )
             if sums.max() >= 1 << SUM_BITS - 1:
-                refuse(f"sums of patches may reach {sums.max():,}, and have {SUM_BITS} bits")
+                refuse(f"sums of patches may reach {sums.max():,.0f}, and have {SUM_BITS} bits")
             width = len(inputs.bias) * (rows - 2) * (columns - 2)
             most, added = np.full(width, inputs.limit), 0
     if len(network.indicator):

@@ -79,7 +79,8 @@ def thread_network(network: IntegerNetwork) -> ThreadNetwork:
         case Rows():
             parts |= {"offset": inputs.first, "factors": inputs.factors, "table": inputs.table}
         case Patches():
-            parts |= {"shape": np.array(inputs.shape), "input_shift": np.array([inputs.shift])}
+            shifts = np.array([inputs.shift, inputs.element_shift])
+            parts |= {"shape": np.array(inputs.shape), "input_shift": shifts}
             filters = inputs.weights.reshape(len(inputs.bias), -1).T
             filters = np.pad(filters, ((0, 0), (0, -len(inputs.bias) % HIGH)))
             parts |= {"filters": filters, "filter_bias": inputs.bias}
@@ -152,11 +153,12 @@ def layers(net: ThreadNetwork, room: ThreadArrays, elements: Array, at: int, age
                             cell = at + ((row + i) * columns + column + j) * planes
                             patch = (SIDE * i + j) * planes
                             for plane in range(planes):
-                                if elements[cell + plane]:
-                                    s0 = np.int32(s0 + net.filters[patch + plane, first])
-                                    s1 = np.int32(s1 + net.filters[patch + plane, first + 1])
-                                    s2 = np.int32(s2 + net.filters[patch + plane, first + 2])
-                                    s3 = np.int32(s3 + net.filters[patch + plane, first + 3])
+                                x = np.int32(np.int64(elements[cell + plane]) >> net.input_shift[1])
+                                if x:
+                                    s0 = np.int32(s0 + net.filters[patch + plane, first] * x)
+                                    s1 = np.int32(s1 + net.filters[patch + plane, first + 1] * x)
+                                    s2 = np.int32(s2 + net.filters[patch + plane, first + 2] * x)
+                                    s3 = np.int32(s3 + net.filters[patch + plane, first + 3] * x)
                     for f in range(first, min(first + HIGH, filters)):
                         total = s0 if f == first else s1 if f == first + 1 else s2 if f == first + 2 else s3
                         shifted = np.int64(total + net.filter_bias[f]) >> net.input_shift[0]

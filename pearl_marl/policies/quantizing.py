@@ -25,13 +25,15 @@ from pearl_marl.policies.integer_network import (
 )
 from pearl_marl.policies.network import Network
 from pearl_marl.policies.trained import NetworkPolicy, TabularPolicy
-from pearl_marl.spec.elements import bounds
 
 INPUT_STEPS = 128
 """Inputs that are standardised are counted in parts of a standard deviation: so many."""
 
 ACTIVATION_STEPS = 128
 """Entries of a table of hyperbolic tangents for each unit: it reaches from -4 to 4, where 0.07 % are left."""
+
+PICTURE_FRACTION = 8
+"""Bits behind the binary point that elements of planes of floats keep."""
 
 MULTIPLIER_BITS = 15
 
@@ -61,8 +63,8 @@ def quantized(
     Raises
     ------
     ArgumentError
-        The widths are impossible, the policy has a network of its own for each agent of a world, or its
-        layers are standardised, or its observations are planes of other numbers than 0 and 1.
+        The widths are impossible, the policy has a network of its own for each agent of a world or a memory,
+        or its layers are standardised.
     """
     checked_integer("weight_bits", weight_bits, *BITS)
     checked_integer("activation_bits", activation_bits, *BITS)
@@ -95,18 +97,6 @@ def check_quantizable(policy: NetworkPolicy | TabularPolicy) -> None:
     if network.layer_norm:
         raise ArgumentError(
             "the policy's layers are standardised, for which integers have no layer: train it by ppo or dqn"
-        )
-    is_picture = network.encoder.kind == "picture"
-    if is_picture and policy.spec.observation_dtype.kind == "f":
-        raise ArgumentError(
-            f"observations of {policy.spec.name} are planes of floats, and only planes of 0 and 1 in bools "
-            "or integers become inputs of a policy in integers"
-        )
-    greatest = int(bounds(policy.spec.observation_space)[1].max()) if is_picture else 1
-    if greatest > 1:
-        raise ArgumentError(
-            f"observations of {policy.spec.name} are planes of numbers up to {greatest}, and only planes of "
-            "0 and 1 become inputs of a policy in integers"
         )
 
 
@@ -216,17 +206,21 @@ class _Quantizing:
         """Return what pictures go through first, and the scale of what comes of it."""
         convolution = self.float.encoder.convolution
         weights, bias = convolution.weight.numpy(), _numbers(convolution.bias)
-        scale = self.most_weight / _greatest(weights)
+        fraction = max(self.spec.element_fractions)
+        element_shift = max(0, fraction - PICTURE_FRACTION)
+        of_weights = self.most_weight / _greatest(weights)
+        scale = of_weights * 2.0 ** (fraction - element_shift)
         planes = self.float.encoder.whole(self.observations).permute(0, 3, 1, 2).float()
         reached = _reached(convolution(planes))
         shift = max(0, math.ceil(math.log2(reached * scale / self.most)))
         rows, columns, count = self.spec.observation_shape
         patches = Patches(
             (rows, columns, count),
-            np.rint(weights.transpose(0, 2, 3, 1) * scale).astype(np.int16),
+            np.rint(weights.transpose(0, 2, 3, 1) * of_weights).astype(np.int16),
             np.rint(bias * scale).astype(np.int32),
             shift,
             self.most,
+            element_shift,
         )
         return patches, scale / 2**shift
 

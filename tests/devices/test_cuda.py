@@ -90,6 +90,12 @@ def test_tensors_hold_what_arrays_hold(name: str, copy: bool, mode: AutoresetMod
     np.testing.assert_array_equal(device.recv().obs.cpu(), native.step(actions).obs)
 
 
+def test_unpack_counts_beyond_a_byte() -> None:
+    """Snake's places in a row are sums of bytes, which the simulator's words must not cut."""
+    ours, native = opened("Snake", "numpy"), Native().open(config("Snake"))
+    np.testing.assert_array_equal(ours.reset(seed=3), native.reset(seed=3))
+
+
 ROLLED = sampled(pearl_marl.list_envs(), ("CartPole", "CliffWalking", "ConnectFour", "DeepSea"))
 
 

@@ -39,10 +39,11 @@ def random_network(
         starts = np.cumsum([0, *rows[:-1]]) - low.astype(np.int64)
         table = rng.integers(-400, 400, (int(rows.sum()), first)).astype(np.int32)
         inputs, width = Rows(starts, np.eye(size, dtype=np.int64), table), 0
-    elif len(seen.observation_shape) == 3 and spec.observation_dtype.kind != "f":
+    elif len(seen.observation_shape) == 3:
         filters = rng.integers(-127, 128, (5, 3, 3, seen.observation_shape[2])).astype(np.int16)
         bias = rng.integers(-200, 200, 5).astype(np.int32)
-        inputs = Patches(seen.observation_shape, filters, bias, 2, 127)
+        fraction = max(spec.element_fractions)
+        inputs = Patches(seen.observation_shape, filters, bias, 2, 127, max(0, fraction - 3))
         width = 5 * (seen.observation_shape[0] - 2) * (seen.observation_shape[1] - 2)
     else:
         spread = np.maximum(high - low, 1)

@@ -25,7 +25,13 @@ N = 2 * TILE + 11
 def some_elements(spec: EnvSpec, rng: np.random.Generator) -> Array:
     """Return elements all over their ranges, the ends among them."""
     seen = spec.in_elements
-    low, high = (end.ravel().astype(np.int64) for end in bounds(seen.observation_space))
+    ends = bounds(seen.observation_space)
+    if len(spec.observation_shape) == 3:  # of floats, elements do not say how far they reach
+        ends = tuple(
+            end.astype(np.float64) * 2.0 ** spec.element_fractions[0]
+            for end in bounds(spec.observation_space)
+        )
+    low, high = (end.ravel().astype(np.int64) for end in ends)
     rows = rng.integers(low, high, (N, len(low)), endpoint=True)
     rows[0], rows[1] = low, high
     dtype = np.dtype(np.uint8) if seen.observation_dtype == np.bool_ else seen.observation_dtype
@@ -36,7 +42,10 @@ CASES = [
     *(("CartPole", widths, drawn) for widths in ((9, 6), (1,), (), (33, 5, 2)) for drawn in (False, True)),
     *(
         (name, (9, 6), True)
-        for name in ("Taxi", "Blackjack", "ConnectFour", "LevelBasedForaging", "Pendulum", "Seaquest")
+        for name in (
+            *("Taxi", "Blackjack", "ConnectFour", "LevelBasedForaging", "Pendulum", "Seaquest"),
+            *("Overcooked", "Snake"),
+        )
     ),
 ]
 

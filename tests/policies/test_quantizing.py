@@ -67,6 +67,9 @@ def trained(name: str, kind: str, width: int = 24, **how: Any) -> NetworkPolicy:
         ("Taxi", "values", {}),
         ("ConnectFour", "logits", {}),
         ("LevelBasedForaging", "logits", {"sharing": "indicator"}),
+        # Planes of numbers, and of floats.
+        ("Overcooked", "logits", {"sharing": "indicator"}),
+        ("Snake", "logits", {"bits": 10}),
         ("Pendulum", "mean", {}),
         # Floats that unpack() writes, and reals.
         ("Catch", "logits", {}),
@@ -76,9 +79,11 @@ def trained(name: str, kind: str, width: int = 24, **how: Any) -> NetworkPolicy:
     ],
 )
 def test_integers_choose_as_floats_do(name: str, kind: str, how: dict[str, Any]) -> None:
+    how = {"bits": 12, **how}
+    bits = how.pop("bits")
     policy = trained(name, kind, **how)
     obs, elements, masks = reached(name, 12)
-    network = quantized(policy, obs, weight_bits=12, activation_bits=12)
+    network = quantized(policy, obs, weight_bits=bits, activation_bits=bits)
     agents = np.arange(len(obs)) % policy.spec.agents
     words = network.choose(elements, agents, masks, np.zeros((len(obs), 0), np.uint32)).words
     wanted = policy.choose(obs, masks)
@@ -92,20 +97,11 @@ def test_integers_choose_as_floats_do(name: str, kind: str, how: dict[str, Any])
         assert len(np.unique(wanted[rows])) > 1
 
 
-def test_planes_of_larger_numbers_are_refused() -> None:
-    policy = NetworkPolicy(pearl_marl.get_spec("Overcooked"), "logits", 8)
-    with pytest.raises(ArgumentError, match="planes of numbers up to 20, and only planes of 0 and 1"):
-        quantized(policy, reached("Overcooked", 1)[0])
-
-
-def test_planes_of_floats_are_refused() -> None:
+def test_planes_that_may_be_below_0_are_refused() -> None:
     bits = pearl_marl.get_spec("TicTacToe")
-    space = Box(0, 1, bits.observation_shape, np.float32)
-    spec = replace(bits, observation_space=space)
-    with pytest.raises(ArgumentError, match="planes of floats, and only planes of 0 and 1"):
-        quantized(NetworkPolicy(spec, "logits", 8), np.zeros((4, *space.shape), np.float32))
-    with pytest.raises(ArgumentError, match="patches are of planes of 0 and 1, and observations are float32"):
-        replace(random_network(bits, 5), spec=spec)
+    below = replace(bits, observation_space=Box(-1, 1, bits.observation_shape, np.int8))
+    with pytest.raises(ArgumentError, match=r"patches are of planes of numbers from 0 on, and .* reach -1"):
+        replace(random_network(bits, 5), spec=below)
 
 
 def test_layers_share_a_table_where_weights_are_large_enough() -> None:
