@@ -301,6 +301,27 @@ def _pettingzoo(spec: EnvSpec, count: int, module: str) -> Game:
     return Game(choose, step)
 
 
+def _mpe2(spec: EnvSpec, count: int, module: str) -> Step:
+    with installed("mpe2"):
+        parallel_env = importlib.import_module(f"mpe2.{module}.{module}").parallel_env
+    worlds = [parallel_env(max_cycles=spec.max_cycles, **spec.options) for _ in range(count // spec.agents)]
+    for i, world in enumerate(worlds):
+        world.reset(seed=i)
+    rows = _actions(spec, count, worlds[0].action_space(worlds[0].agents[0]).dtype)
+    actions = [
+        dict(zip(world.agents, row, strict=True))
+        for world, row in zip(worlds, rows.reshape(len(worlds), spec.agents, *rows.shape[1:]), strict=True)
+    ]
+
+    def step() -> None:
+        for world, chosen in zip(worlds, actions, strict=True):
+            world.step(chosen)
+            if not world.agents:
+                world.reset()
+
+    return step
+
+
 def _overcooked(spec: EnvSpec, count: int) -> Step:
     with installed("overcooked-ai"):
         from overcooked_ai_py.mdp.actions import Action
@@ -445,6 +466,7 @@ _OF_GYMNAX = ("gymnax", "all result arrays; JAX, compiled, on all cores", _gymna
 _OF_GYMNAX_DEFAULT = ("gymnax", "all result arrays, default options; JAX, compiled, on all cores", _gymnax)
 _OF_PGX = ("pgx", "all result arrays, default options; JAX, compiled, on all cores", _pgx)
 _OF_BSUITE = ("bsuite", "observations, rewards, ends; Python, one thread", _bsuite)
+_MPE2 = "five dicts; Python, one thread"
 _ONE_PLAYER = "observation, mask, reward, end of one player; no wrappers that check; Python, one thread"
 PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]] = {
     "Acrobot": [_OF_GYMNAX_DEFAULT],
@@ -464,6 +486,8 @@ PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]
     "Othello": [_OF_PGX],
     "Overcooked": [("overcooked-ai", "observations, rewards, ends; Python, one thread", _overcooked)],
     "Seaquest": [_OF_GYMNAX_DEFAULT, _OF_PGX],
+    "SimpleSpread": [("MPE2", _MPE2, partial(_mpe2, module="simple_spread"))],
+    "SimpleTag": [("MPE2", _MPE2, partial(_mpe2, module="simple_tag"))],
     "SpaceInvaders": [_OF_GYMNAX_DEFAULT, _OF_PGX],
     "TicTacToe": [("PettingZoo tictactoe_v3", _ONE_PLAYER, partial(_pettingzoo, module="tictactoe"))],
     "RobotWarehouse": [("rware", "observations, rewards, ends; Python, one thread", _warehouse)],

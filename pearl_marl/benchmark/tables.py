@@ -14,6 +14,7 @@ OTHER_PEERS = {
     "Gymnasium SyncVectorEnv": "Sync",
     "Gymnasium's own vectorisation": "NumPy",
     "MinAtar": "MinAtar",
+    "MPE2": "MPE2",
     "bsuite": "bsuite",
     "gymnax": "gymnax",
     "jaxmarl": "JaxMARL",

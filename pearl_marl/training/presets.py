@@ -101,6 +101,17 @@ GRID: dict[str, Any] = {
     "entropy": 0.01,
 }
 
+# An episode of 25 steps is a rollout. An agent has to know which of the landmarks is its own, or its role.
+PARTICLES: dict[str, Any] = {
+    "rollout_length": 25,
+    "minibatch": 2048,
+    "learning_rate": 2e-3,
+    "discount": 0.95,
+    "entropy": 0.01,
+    "reward_scale": 0.1,
+    "sharing": "indicator",
+}
+
 # A player that always does the same is seen through: much entropy, and actions stay random.
 POKER: dict[str, Any] = {
     "n_agents": 1024,
@@ -178,20 +189,12 @@ PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("ppo", "MiniGridDoorKey"): GRID | {"iterations": 120},
     # Many places look alike: actions are sampled, so that an agent does not walk in circles.
     ("ppo", "MiniGridFourRooms"): GRID | {"gae_lambda": 0.95, "temperature": 1.0},
+    # Some hundred is lost in an episode: rewards are made small.
+    ("ppo", "Elevators"): {"minibatch": 2048, "discount": 0.95, "reward_scale": 0.1},
     # For a grid of 6 by 6.
     ("ppo", "Snake"): GRID | {"iterations": 80},
-    # An episode of 25 steps is a rollout. An agent has to know which of the landmarks is its own.
-    ("ppo", "SimpleSpread"): {
-        "n_agents": 1536,
-        "rollout_length": 25,
-        "iterations": 150,
-        "minibatch": 2048,
-        "learning_rate": 2e-3,
-        "discount": 0.95,
-        "entropy": 0.01,
-        "reward_scale": 0.1,
-        "sharing": "indicator",
-    },
+    ("ppo", "SimpleSpread"): PARTICLES | {"n_agents": 1536, "iterations": 150},
+    ("ppo", "SimpleTag"): PARTICLES | {"n_agents": 1024, "iterations": 100},
     # One game is like another unless some moves are random.
     ("self-play", "ConnectFour"): {
         "n_agents": 512,

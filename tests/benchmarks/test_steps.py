@@ -119,6 +119,27 @@ def test_everybody_takes_legal_actions(name: str) -> None:
             game.step(game.choose())
 
 
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("SimpleSpread", {}), ("SimpleTag", {"num_good": 2}), ("SimpleTag", {"continuous_actions": True})],
+)
+def test_worlds_of_mpe_begin_again(
+    monkeypatch: pytest.MonkeyPatch, name: str, options: dict[str, Any]
+) -> None:
+    """At its time limit a world of MPE2's loses its agents, and a step of none would cost nothing."""
+    spec = get_spec(name).with_options(**options)
+    package = {"SimpleSpread": "simple_spread", "SimpleTag": "simple_tag"}[name]
+    module = pytest.importorskip(f"mpe2.{package}.{package}")
+    make, worlds = module.parallel_env, []
+    monkeypatch.setattr(module, "parallel_env", lambda **wanted: worlds.append(make(**wanted)) or worlds[-1])
+    contender = {one.name: one for one in peers.peers(spec, 3 * spec.agents)}["MPE2"]
+    step = contender.make()
+    for _ in range(spec.max_cycles):
+        assert [len(world.agents) for world in worlds] == [spec.agents] * 3
+        step()
+    assert [len(world.agents) for world in worlds] == [spec.agents] * 3
+
+
 def test_nobody_drops_a_disc_into_a_full_column_of_envpool() -> None:
     """Its games may come back in any order, and one that ended starts anew in its next step."""
     envpool = pytest.importorskip("envpool")
