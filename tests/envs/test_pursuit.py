@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
 from typing import Any
 
@@ -164,11 +163,14 @@ def eager(ours: Ours, generator: np.random.Generator) -> Array:
     return chosen
 
 
-@pytest.mark.parametrize("steps", [30, pytest.param(300, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize(
+    ("n", "agent_steps"), [(4, 320), pytest.param(16, 64_000, marks=pytest.mark.exhaustive)]
+)
 @pytest.mark.parametrize("case", sampled(CASES, ("default", "crowded", "together")))
-def test_follows_the_oracle(case: str, steps: int) -> None:
+def test_follows_the_oracle(case: str, n: int, agent_steps: int) -> None:
     """Whole episodes of eager pursuers: observations, rewards, ends and states."""
-    spec, n = spec_of(case), 4 if steps < 100 else 16
+    spec = spec_of(case)
+    steps = -(-agent_steps // (n * spec.agents))
     games = Games(spec, [game_of(spec) for _ in range(n)], pose, act, look)
     seen = Counter[str]()
     for move in compare(spec, games, n, steps, actions=eager, seed=3, tolerance={"reward": 1e-6}):
@@ -178,12 +180,14 @@ def test_follows_the_oracle(case: str, steps: int) -> None:
         seen["episodes"] += int(move.ended.sum())
         seen["rewards"] = max(seen["rewards"], len(np.unique(np.round(move.outcome.rewards, 6))))
     print(case, dict(seen))
-    assert seen["caught"] > 0 or steps < 100
+    assert seen["caught"] > 0
+    assert seen["episodes"] > 0 or n == 4
     assert seen["rewards"] > 1
 
 
 def test_map_is_the_packages() -> None:
-    for x_size, y_size in itertools.product(range(4, 17), repeat=2):
+    """At each width and each height: neither changes where the building is along the other."""
+    for x_size, y_size in zip(range(4, 17), range(16, 3, -1), strict=True):
         spec = pearl_marl.get_spec("Pursuit").with_options(
             x_size=x_size, y_size=y_size, n_evaders=2, n_pursuers=2
         )
@@ -201,7 +205,7 @@ def test_starts_are_distributed_as_in_the_package(case: str, n: int) -> None:
     spec, generator = spec_of(case), np.random.default_rng(5)
     x_size, y_size = spec.options["x_size"], spec.options["y_size"]
     matrix = rectangle_map(x_size, y_size)
-    columns = started(spec, 10 * n, seed=7)
+    columns = started(spec, n, seed=7)
     names = [field.name for field in spec.state]
     for kind in ("pursuers", "evaders"):
         count = spec.options[f"n_{kind}"]
