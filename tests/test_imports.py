@@ -227,3 +227,20 @@ def test_former_places_of_modules(former: str, present: str, name: str) -> None:
     with pytest.warns(DeprecationWarning, match=f"pearl_marl.{former} is deprecated: use pearl_marl."):
         module = importlib.import_module(f"pearl_marl.{former}")
     assert getattr(module, name) is getattr(importlib.import_module(f"pearl_marl.{present}"), name)
+
+
+FIRST_STEP = """
+import json, sys, pearl_marl
+env = pearl_marl.make_vec("CliffWalking", num_envs=4)
+env.reset()
+env.step(env.action_space.sample())
+print(json.dumps(list(sys.modules)))
+"""
+
+
+def test_kernels_that_are_kept_load_nothing_of_the_compiler() -> None:
+    """What Numba compiles with takes longer to import than all else before the first step."""
+    told(FIRST_STEP)  # compiles them where they are not kept yet
+    modules = set(told(FIRST_STEP))
+    assert "numba.core.compiler" in modules
+    assert not modules & {"numba.np.linalg", "numba.typed.dictimpl", "scipy.linalg"}

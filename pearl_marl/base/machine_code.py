@@ -22,6 +22,7 @@ import numba
 import numpy as np
 from numba.core.caching import CompileResultCacheImpl
 from numba.core.errors import NumbaError
+from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
 from pearl_marl.base import object_code
@@ -92,11 +93,13 @@ class MachineCode:
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Return the machine code for a signature, or None where there is none."""
-        context.refresh()
         found = self._entries.load((signature, context.codegen().magic_tuple()))
         if found is None:
             return None
         called, made = found
+        # Machine code may call Numba's runtime. All else that `context.refresh()` gets ready is for the
+        # compiler, which calls it: here it would take half of a process's time to its first step.
+        rtsys.initialize(context)
         object_code.add(called)
         return IMPLEMENTATION.rebuild(None, context, made)
 

@@ -28,7 +28,7 @@ CASES: dict[str, dict[str, Any]] = {
 ULP = {"place": 0.6, "v": 3.0, "observation": 3.0, "reward": 22.0, "terminated": 0.0}
 """The greatest errors of a step, as :func:`errors_of` has them.
 
-A place outside has a price with a slope of up to 20 on each axis: half a unit of a place makes 10 of a reward.
+A place outside has a price with a slope of up to 20 on each axis: half a unit of it makes 10 of a reward.
 """
 
 
