@@ -35,7 +35,6 @@ CASES: dict[str, dict[str, Any]] = {
         "n_catch": 2,
         "urgency_reward": 0.0,
         "catch_reward": 3.0,
-        "max_cycles": 60,
         "shared_reward": False,
     },
     "large": {"x_size": 16, "y_size": 16, "n_evaders": 30, "n_pursuers": 8},
