@@ -15,7 +15,7 @@ from pearl_marl.spec import EnvSpec
 from .rules import PursuitRules
 from .step import make_golden
 
-SIZES, PURSUERS, EVADERS, WINDOWS, MOST_STEPS = (4, 16), (2, 16), (1, 32), (3, 15), (1 << 32) - 1
+SIZES, PURSUERS, EVADERS, WINDOWS = (4, 16), (2, 16), (1, 32), (3, 15)
 CELL = 24
 """Width and height of a cell, in pixels."""
 GROUND, BUILDING, EVADER, PURSUER = (235, 235, 235), (110, 110, 110), (40, 85, 200), (205, 45, 45)
@@ -26,7 +26,6 @@ MOST_REWARDS = 1 << 16
 def configure(
     x_size: int = 8,
     y_size: int = 8,
-    max_cycles: int = 500,
     shared_reward: bool = True,
     n_evaders: int = 6,
     n_pursuers: int = 4,
@@ -44,8 +43,6 @@ def configure(
     ----------
     x_size, y_size
         The size of the map, 4 to 16.
-    max_cycles
-        The time limit.
     shared_reward
         Whether all get the mean of the rewards.
     n_evaders
@@ -123,11 +120,10 @@ def configure(
         golden=make_golden(rules),
         unpack=make_unpack(rules),
         agents=n_pursuers,
-        max_cycles=checked_integer("max_cycles", max_cycles, 1, MOST_STEPS),
+        max_cycles=500,
         options={
             "x_size": x_size,
             "y_size": y_size,
-            "max_cycles": max_cycles,
             "shared_reward": shared_reward,
             "n_evaders": n_evaders,
             "n_pursuers": n_pursuers,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
 from typing import Any
 
@@ -19,10 +18,9 @@ import pearl_marl
 from pearl_marl import EnvSpec
 from pearl_marl.envs.pursuit.spec import BUILDING, CELL, EVADER, PURSUER
 from pearl_marl.errors import ArgumentError
-from pearl_marl.porting.oracle import Games, Ours, Outcome, compare
+from pearl_marl.porting.oracle import Games, Ours, Outcome, compare, uniform_draws
 
 from ..sampling import sampled
-from .starts import started
 
 Array = np.ndarray[Any, Any]
 CASES: dict[str, dict[str, Any]] = {
@@ -37,7 +35,6 @@ CASES: dict[str, dict[str, Any]] = {
         "n_catch": 2,
         "urgency_reward": 0.0,
         "catch_reward": 3.0,
-        "max_cycles": 60,
         "shared_reward": False,
     },
     "large": {"x_size": 16, "y_size": 16, "n_evaders": 30, "n_pursuers": 8},
@@ -164,11 +161,14 @@ def eager(ours: Ours, generator: np.random.Generator) -> Array:
     return chosen
 
 
-@pytest.mark.parametrize("steps", [30, pytest.param(300, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize(
+    ("n", "agent_steps"), [(4, 320), pytest.param(16, 64_000, marks=pytest.mark.exhaustive)]
+)
 @pytest.mark.parametrize("case", sampled(CASES, ("default", "crowded", "together")))
-def test_follows_the_oracle(case: str, steps: int) -> None:
+def test_follows_the_oracle(case: str, n: int, agent_steps: int) -> None:
     """Whole episodes of eager pursuers: observations, rewards, ends and states."""
-    spec, n = spec_of(case), 4 if steps < 100 else 16
+    spec = spec_of(case)
+    steps = -(-agent_steps // (n * spec.agents))
     games = Games(spec, [game_of(spec) for _ in range(n)], pose, act, look)
     seen = Counter[str]()
     for move in compare(spec, games, n, steps, actions=eager, seed=3, tolerance={"reward": 1e-6}):
@@ -178,12 +178,14 @@ def test_follows_the_oracle(case: str, steps: int) -> None:
         seen["episodes"] += int(move.ended.sum())
         seen["rewards"] = max(seen["rewards"], len(np.unique(np.round(move.outcome.rewards, 6))))
     print(case, dict(seen))
-    assert seen["caught"] > 0 or steps < 100
+    assert seen["caught"] > 0
+    assert seen["episodes"] > 0 or n == 4
     assert seen["rewards"] > 1
 
 
 def test_map_is_the_packages() -> None:
-    for x_size, y_size in itertools.product(range(4, 17), repeat=2):
+    """At each width and each height: neither changes where the building is along the other."""
+    for x_size, y_size in zip(range(4, 17), range(16, 3, -1), strict=True):
         spec = pearl_marl.get_spec("Pursuit").with_options(
             x_size=x_size, y_size=y_size, n_evaders=2, n_pursuers=2
         )
@@ -195,19 +197,20 @@ def test_map_is_the_packages() -> None:
 
 
 @pytest.mark.parametrize("n", [1_000, pytest.param(20_000, marks=pytest.mark.exhaustive)])
-@pytest.mark.parametrize("case", sampled(CASES, ("default",)))
+@pytest.mark.parametrize("case", sampled(CASES, ("crowded",)))
 def test_starts_are_distributed_as_in_the_package(case: str, n: int) -> None:
     """By the cells of the first and the last of each kind, and how far these two are from each other."""
     spec, generator = spec_of(case), np.random.default_rng(5)
     x_size, y_size = spec.options["x_size"], spec.options["y_size"]
     matrix = rectangle_map(x_size, y_size)
-    columns = started(spec, 10 * n, seed=7)
-    names = [field.name for field in spec.state]
+    started = Ours(spec, n)
+    started.start(uniform_draws(generator, n, spec.reset_draws))
+    columns = {field.name: word.astype(int) for field, word in zip(spec.state, started.words, strict=True)}
     for kind in ("pursuers", "evaders"):
         count = spec.options[f"n_{kind}"]
-        ours = np.array(
-            [[columns[names.index(f"{kind}_{k}_{axis}")] for axis in "xy"] for k in range(count)]
-        ).transpose(2, 0, 1)
+        ours = np.array([[columns[f"{kind}_{k}_{axis}"] for axis in "xy"] for k in range(count)]).transpose(
+            2, 0, 1
+        )
         theirs = np.array(
             [
                 [
