@@ -129,7 +129,7 @@ def simulated() -> bool:
 
 
 def _of_wide_words(unpack: Callable[..., None]) -> Callable[..., None]:
-    """Return what the simulator calls as ``unpack``: sums of NumPy's bytes wrap around, compiled ones do not."""
+    """Return what the simulator calls as ``unpack``: sums of NumPy's bytes wrap, compiled ones do not."""
 
     def called(*words_and_row: Any) -> None:
         *words, row = words_and_row
