@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
+import pearl_marl
 from pearl_marl.benchmark.tables import MeasuredTable
 
 TRAININGS: dict[str, tuple[str, ...]] = {
@@ -21,16 +22,19 @@ TRAININGS: dict[str, tuple[str, ...]] = {
     "FrozenLake": ("--algo", "q-learning"),
     "Taxi": ("--algo", "q-learning"),
     "Blackjack": ("--algo", "q-learning"),
-    "CartPole": ("--algo", "ppo"),
-    "MountainCar": ("--algo", "ppo"),
-    "Pendulum": ("--algo", "ppo"),
-    "Seaquest": ("--algo", "ppo"),
-    "ConnectFour": ("--algo", "self-play"),
-    "LevelBasedForaging": ("--algo", "ppo"),
-    "RobotWarehouse": ("--algo", "ppo"),
+    **dict.fromkeys(
+        (
+            *("CartPole", "MountainCar", "Acrobot", "MountainCarContinuous", "Pendulum"),
+            *("Asterix", "Breakout", "Freeway", "Seaquest", "SpaceInvaders"),
+            *("MiniGridDoorKey", "MiniGridFourRooms", "Snake", "Elevators"),
+            *("SimpleSpread", "SimpleTag", "CoinGame", "LevelBasedForaging", "RobotWarehouse"),
+        ),
+        ("--algo", "ppo"),
+    ),
+    "Overcooked": ("--algo", "ppo", "--option", "reward_shaping_factor=1"),
+    **dict.fromkeys(("ConnectFour", "KuhnPoker", "LeducPoker"), ("--algo", "self-play")),
 }
-"""How each is trained. Two presets have policies that cannot be quantised: CoinGame's has a network for each
-agent, and Overcooked's observations are planes of larger numbers than 1."""
+"""How each is trained."""
 
 
 def pearl(*arguments: str) -> Any:
@@ -63,7 +67,9 @@ def main(
         arguments, run = TRAININGS[name], out / name
         if not (run / "policy.safetensors").exists():
             pearl("train", name, *arguments, "--out", str(run))
-        rows.append(row(pearl("quantize", str(run), "--n-agents", str(n_agents)), arguments[1]))
+        agents = pearl_marl.get_spec(name).agents
+        figures = pearl("quantize", str(run), "--n-agents", str(n_agents // agents * agents))
+        rows.append(row(figures, arguments[1]))
         print(*rows[-1], flush=True)
     headings = ("", "trained by", "return", "in integers", "change", "95 % confidence")
     print(MeasuredTable(headings, rows, (0, 1)).markdown())

@@ -124,11 +124,17 @@ def measure_rollouts(
 ) -> None:
     """Measure policy steps per second: rollouts, the loop of pearl eval, EnvPool with torch, gymnax."""
     from pearl_marl.policies.integer_file import load_policy
+    from pearl_marl.policies.integer_network import IntegerNetwork
 
     checked_number("--seconds", seconds, 0, MOST_SECONDS)
     common.check_forms(as_json, as_markdown)
     network = load_policy(run)
     spec = network.spec
+    if not isinstance(network, IntegerNetwork):
+        raise ArgumentError(
+            f"{run} has a network for each of the {spec.agents} agents of a world; rollouts are timed with "
+            "one that all share: train it with sharing all or indicator"
+        )
     n_agents = common.agents_of(spec, n_agents)
     file = f"bench_rollouts_{spec.name}_{n_agents}.json"
     common.check_results(out, file)

@@ -11,7 +11,7 @@ import numpy as np
 
 from pearl_marl.base.arrays import Array
 from pearl_marl.evaluation.run import CONFIDENCE, Evaluation, interval
-from pearl_marl.policies.integer_network import IntegerNetwork
+from pearl_marl.policies.integer_network import AgentNetworks, IntegerNetwork
 
 SAMPLES = 4096
 """Observations that a policy is quantised by."""
@@ -42,7 +42,7 @@ class Quantization:
         Returns of the trained policy's agents, and of the other one's.
     """
 
-    network: IntegerNetwork
+    network: IntegerNetwork | AgentNetworks
     before: Array
     after: Array
 
@@ -67,7 +67,7 @@ class Quantization:
         def acting(observations: Array, masks: Array | None = None) -> Array:
             nonlocal steps
             if steps % EVERY == 0 and sum(map(len, samples)) < SAMPLES:
-                samples.append(observations[: SAMPLES // 16].copy())
+                samples.append(observations[: SAMPLES // 16 // self.spec.agents * self.spec.agents].copy())
             steps += 1
             return self._policy.choose(observations, masks)
 

@@ -15,6 +15,7 @@ from pearl_marl.base.arrays import Array
 from pearl_marl.envs import registered_spec
 from pearl_marl.errors import ArgumentError, brief, one_line
 from pearl_marl.policies.integer_network import (
+    AgentNetworks,
     Dense,
     Head,
     IntegerNetwork,
@@ -23,6 +24,7 @@ from pearl_marl.policies.integer_network import (
     Rows,
     Scaling,
 )
+from pearl_marl.spec import EnvSpec
 
 KIND = "integers"
 """What such a file says that its policy is."""
@@ -43,19 +45,36 @@ _HEADS: dict[str, tuple[type[Any], dict[str, type[Any]]]] = {
 """The kinds of the parts of a network, and the dtypes of their tensors."""
 
 
-def save(network: IntegerNetwork, path: Path) -> None:
+def save(policy: IntegerNetwork | AgentNetworks, path: Path) -> None:
     """Write what :func:`load_policy` reads."""
     import torch
 
     from pearl_marl.policies import policy_file
 
-    tensors: dict[str, Array] = {"indicator": network.indicator.astype(np.int32)}
     about: dict[str, Any] = {
-        "environment": network.spec.name,
-        "options": dict(network.spec.options),
+        "environment": policy.spec.name,
+        "options": dict(policy.spec.options),
         "kind": KIND,
-        "layers": len(network.layers),
     }
+    tensors: dict[str, Array] = {}
+    if isinstance(policy, AgentNetworks):
+        about["agents"] = []
+        for k, network in enumerate(policy.networks):
+            described, own = _written(network)
+            about["agents"].append(described)
+            tensors.update({f"agent.{k}.{name}": array for name, array in own.items()})
+    else:
+        described, tensors = _written(policy)
+        about.update(described)
+    policy_file.write(
+        path, about, {name: torch.from_numpy(np.ascontiguousarray(of)) for name, of in tensors.items()}
+    )
+
+
+def _written(network: IntegerNetwork) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Return what is written of a network: its description, and its tensors."""
+    tensors: dict[str, Array] = {"indicator": network.indicator.astype(np.int32)}
+    about: dict[str, Any] = {"layers": len(network.layers)}
 
     def put(name: str, part: Any, dtypes: dict[str, Any]) -> dict[str, Any]:
         """Take a part's tensors; return its other fields."""
@@ -68,9 +87,7 @@ def save(network: IntegerNetwork, path: Path) -> None:
         about[name] = {"kind": kind, **put(name, part, dtypes)}
     for k, layer in enumerate(network.layers):
         about[f"layer.{k}"] = put(f"layer.{k}", layer, _LAYER)
-    policy_file.write(
-        path, about, {name: torch.from_numpy(np.ascontiguousarray(of)) for name, of in tensors.items()}
-    )
+    return about, tensors
 
 
 def is_one(path: Path) -> bool:
@@ -81,7 +98,7 @@ def is_one(path: Path) -> bool:
     return isinstance(about, dict) and about.get("kind") == KIND
 
 
-def load_policy(path: str | Path) -> IntegerNetwork:
+def load_policy(path: str | Path) -> IntegerNetwork | AgentNetworks:
     """Read a policy that devices can run, for ``rollout()``: a file, or the one in a run folder.
 
     ``pearl quantize`` makes such files of trained policies.
@@ -105,16 +122,31 @@ def load_policy(path: str | Path) -> IntegerNetwork:
     if isinstance(about, dict) and about.get("kind") != KIND:
         raise ArgumentError(f"{file} is no policy in integers: make one of it with `pearl quantize {file}`")
     try:
-        return _network(about, {name: tensor.numpy() for name, tensor in tensors.items()})
+        return _policy(about, {name: tensor.numpy() for name, tensor in tensors.items()})
     except ArgumentError as error:
         raise ArgumentError(f"{file} is damaged, or of another version: {one_line(error)}") from None
 
 
-def _network(about: Any, tensors: dict[str, Array]) -> IntegerNetwork:
+def _policy(about: Any, tensors: dict[str, Array]) -> IntegerNetwork | AgentNetworks:
     if not isinstance(about, dict):
         raise ArgumentError("its metadata say nothing of its policy")
     name, options = _of(about, "environment", str), _of(about, "options", dict)
     spec = registered_spec(name).with_options(**options)
+    if "agents" not in about:
+        return _network(spec, about, tensors)
+    descriptions = _of(about, "agents", list)
+    if not descriptions or not all(isinstance(described, dict) for described in descriptions):
+        raise ArgumentError("its metadata say nothing of its agents")
+    own: list[dict[str, Array]] = [{} for _ in descriptions]
+    for name, tensor in tensors.items():
+        place = next((k for k in range(len(own)) if name.startswith(f"agent.{k}.")), None)
+        if place is None:
+            raise ArgumentError(f"it has a tensor {brief(name)}, which is of none of its agents")
+        own[place][name.removeprefix(f"agent.{place}.")] = tensor
+    return AgentNetworks(tuple(_network(spec, *each) for each in zip(descriptions, own, strict=True)))
+
+
+def _network(spec: EnvSpec, about: dict[str, Any], tensors: dict[str, Array]) -> IntegerNetwork:
     layers = _of(about, "layers", int)
     wanted = {"indicator"}
 

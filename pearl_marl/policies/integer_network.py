@@ -192,6 +192,58 @@ class IntegerNetwork(DevicePolicy):
         return drawn_one
 
 
+@dataclass(frozen=True, eq=False)
+class AgentNetworks(DevicePolicy):
+    """A network of integers for each agent of a world, which share nothing.
+
+    Raises
+    ------
+    ArgumentError
+        They are not as many as a world has agents, or are of different environments or kinds of heads.
+    """
+
+    networks: tuple[IntegerNetwork, ...]
+
+    def __post_init__(self) -> None:
+        spec, count = self.spec, len(self.networks)
+        if count != spec.agents:
+            raise ArgumentError(
+                f"there are {count} networks, and a world of {spec.name} has {spec.agents} agents"
+            )
+        kinds = {(n.spec.id, str(n.spec.options), n.draws, n.logits) for n in self.networks}
+        if len(kinds) > 1:
+            raise ArgumentError(f"the networks of agents are of different kinds: {sorted(kinds)}")
+
+    @property
+    def spec(self) -> EnvSpec:  # type: ignore[override]
+        """The environment that they are for."""
+        return self.networks[0].spec
+
+    @property
+    def draws(self) -> int:  # type: ignore[override]
+        """How many random numbers an action takes."""
+        return self.networks[0].draws
+
+    @property
+    def logits(self) -> int:  # type: ignore[override]
+        """How many logits an action is chosen by."""
+        return self.networks[0].logits
+
+    def choose(self, elements: Array, agents: Array, masks: Array | None, draws: Array) -> ActionChoice:
+        """See :class:`DevicePolicy`."""
+        words = np.empty((len(elements), len(self.spec.action_fields)), np.int64)
+        logits = np.empty((len(elements), self.logits), np.int32)
+        for agent, network in enumerate(self.networks):
+            own = agents == agent
+            choice = network.choose(
+                elements[own], agents[own], None if masks is None else masks[own], draws[own]
+            )
+            words[own] = choice.words
+            if choice.logits is not None:
+                logits[own] = choice.logits
+        return ActionChoice(words, logits if self.logits else None)
+
+
 def table_network(spec: EnvSpec, values: Array) -> IntegerNetwork:
     """Return the policy that takes the greatest of the values of an observation, the first of equals.
 

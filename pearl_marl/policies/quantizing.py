@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -14,6 +15,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.policies import dense
 from pearl_marl.policies.integer_network import (
     ENTRIES,
+    AgentNetworks,
     Dense,
     Head,
     IntegerNetwork,
@@ -23,7 +25,7 @@ from pearl_marl.policies.integer_network import (
     Scaling,
     table_network,
 )
-from pearl_marl.policies.network import Network
+from pearl_marl.policies.network import Network, SeparateNetworks
 from pearl_marl.policies.trained import NetworkPolicy, TabularPolicy
 
 INPUT_STEPS = 128
@@ -46,7 +48,7 @@ BITS = 4, 16
 
 def quantized(
     policy: NetworkPolicy | TabularPolicy, observations: Array, weight_bits: int = 8, activation_bits: int = 8
-) -> IntegerNetwork:
+) -> IntegerNetwork | AgentNetworks:
     """Return a policy in integers that does what a trained one does, as nearly as its bits allow.
 
     Parameters
@@ -55,27 +57,32 @@ def quantized(
         What was trained. One that draws its actions is drawn from here too; one that takes a share of random
         actions takes the best only.
     observations
-        Some that it meets, of shape ``(n, *spec.observation_shape)``: the range of what pictures become
-        follows from them.
+        Some that it meets, of shape ``(n, *spec.observation_shape)`` and of whole worlds: the range of what
+        pictures become follows from them.
     weight_bits, activation_bits
         Widths of weights, and of what goes from one layer to the next, 4 to 16.
 
     Raises
     ------
     ArgumentError
-        The widths are impossible, the policy has a network of its own for each agent of a world or a memory,
-        or its layers are standardised.
+        The widths are impossible, the policy has a memory, or its layers are standardised.
     """
     checked_integer("weight_bits", weight_bits, *BITS)
     checked_integer("activation_bits", activation_bits, *BITS)
     check_quantizable(policy)
     if isinstance(policy, TabularPolicy):
         return _of_table(policy)
+    most_weight, most = ((1 << bits - 1) - 1 for bits in (weight_bits, activation_bits))
     network: Any = policy.network
-    made = _Quantizing(
-        policy, network, observations, (1 << weight_bits - 1) - 1, (1 << activation_bits - 1) - 1
-    )
-    return made.network()
+    if isinstance(network, SeparateNetworks):
+        agents = policy.spec.agents
+        return AgentNetworks(
+            tuple(
+                _Quantizing(policy, own, observations[k::agents], most_weight, most).network()
+                for k, own in enumerate(cast(Iterable[Network], network))
+            )
+        )
+    return _Quantizing(policy, network, observations, most_weight, most).network()
 
 
 def check_quantizable(policy: NetworkPolicy | TabularPolicy) -> None:
@@ -87,11 +94,8 @@ def check_quantizable(policy: NetworkPolicy | TabularPolicy) -> None:
             )
         return
     network: Any = policy.network
-    if not isinstance(network, Network):
-        raise ArgumentError(
-            "the policy has a network of its own for each agent of a world, and only shared ones become "
-            "integers: train it with sharing all or indicator"
-        )
+    if isinstance(network, SeparateNetworks):
+        network = network[0]  # the others are like it
     if network.memory is not None:
         raise ArgumentError("the policy has a memory, for which integers have no layer: train it without")
     if network.layer_norm:

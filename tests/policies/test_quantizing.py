@@ -18,7 +18,8 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation import Evaluation
 from pearl_marl.policies import integer_file
 from pearl_marl.policies.device_policy import Array, policy_draws
-from pearl_marl.policies.integer_network import IntegerNetwork, table_network
+from pearl_marl.policies.integer_network import AgentNetworks, IntegerNetwork, table_network
+from pearl_marl.spec import EnvSpec
 
 from .networks import random_network
 
@@ -54,9 +55,10 @@ def trained(name: str, kind: str, width: int = 24, **how: Any) -> NetworkPolicy:
     torch.manual_seed(3)
     policy = NetworkPolicy(pearl_marl.get_spec(name), kind, width, **how)
     obs = torch.from_numpy(reached(name)[0])
-    policy.see(obs, None)
+    policy.network.see(obs, policy.positions(len(obs)))
     with torch.no_grad():
-        policy.network.output.weight.mul_(100 if kind != "values" else 3)
+        for network in policy.network if how.get("sharing") == "none" else [policy.network]:
+            network.output.weight.mul_(100 if kind != "values" else 3)
     return policy
 
 
@@ -67,6 +69,7 @@ def trained(name: str, kind: str, width: int = 24, **how: Any) -> NetworkPolicy:
         ("Taxi", "values", {}),
         ("ConnectFour", "logits", {}),
         ("LevelBasedForaging", "logits", {"sharing": "indicator"}),
+        ("LevelBasedForaging", "logits", {"sharing": "none"}),
         # Planes of numbers, and of floats.
         ("Overcooked", "logits", {"sharing": "indicator"}),
         ("Snake", "logits", {"bits": 10}),
@@ -158,7 +161,6 @@ def test_what_cannot_be_quantised_is_refused() -> None:
         quantized(trained("CartPole", "logits"), obs, weight_bits=3)
     foraging = pearl_marl.get_spec("LevelBasedForaging")
     for given, says in (
-        ({"sharing": "none"}, "a network of its own for each agent"),
         ({"memory": "gru"}, "the policy has a memory"),
         ({"layer_norm": True}, "the policy's layers are standardised"),
     ):
@@ -202,6 +204,55 @@ def test_files_keep_policies(tmp_path: Path, name: str) -> None:
     draws = np.random.default_rng(0).integers(0, 1 << 32, (len(elements), network.draws), np.uint32)
     one, other = (of.choose(elements, agents, None, draws) for of in (network, again))
     assert np.array_equal(one.words, other.words)
+
+
+MEETING = pearl_marl.get_spec("LevelBasedForaging")
+
+
+def networks_of_agents(spec: EnvSpec = MEETING) -> AgentNetworks:
+    """Return a network for each agent of a world, each another one."""
+    made = (random_network(spec, seed) for seed in range(spec.agents))
+    return AgentNetworks(tuple(replace(network, indicator=network.indicator[:0]) for network in made))
+
+
+def test_each_agent_may_have_a_network(tmp_path: Path) -> None:
+    """A rollout of them is as their own choices say, and their file keeps them."""
+    policy = networks_of_agents()
+    integer_file.save(policy, tmp_path / "integers.safetensors")
+    again = pearl_marl.load_policy(tmp_path)
+    assert isinstance(again, AgentNetworks)
+    device = Native()
+    device.open(BatchConfig(spec=MEETING, n_envs=5, max_cycles=4))
+    device.reset(seed=1)
+    rolled = device.rollout(again, 9, record=True)
+    assert rolled.observations is not None
+    assert rolled.logits is not None
+    for agent, network in enumerate(policy.networks):
+        for observed, logits in zip(rolled.observations, rolled.logits, strict=True):
+            own = observed[agent :: MEETING.agents]
+            due = network.sums(own, np.zeros(len(own), int))
+            assert np.array_equal(logits[agent :: MEETING.agents], due)
+
+
+def test_networks_of_agents_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+    from pearl_marl.policies import policy_file
+
+    policy, file = networks_of_agents(), tmp_path / "integers.safetensors"
+    with pytest.raises(ArgumentError, match="1 networks, and a world of LevelBasedForaging has 2 agents"):
+        AgentNetworks(policy.networks[:1])
+    others = networks_of_agents(MEETING.with_options(sight=2)).networks
+    with pytest.raises(ArgumentError, match="the networks of agents are of different kinds"):
+        AgentNetworks((policy.networks[0], others[1]))
+    integer_file.save(policy, file)
+    about, tensors = policy_file.read(file)
+    for change, says in (
+        ({"agents": about["agents"][:1]}, "a tensor 'agent.1.*of none of its agents"),
+        ({"agents": [1, 2]}, "say nothing of its agents"),
+        ({"agents": []}, "say nothing of its agents"),
+    ):
+        policy_file.write(file, {**about, **change}, tensors)
+        with pytest.raises(ArgumentError, match=says):
+            pearl_marl.load_policy(file)
 
 
 def test_damaged_files_are_refused(tmp_path: Path) -> None:
