@@ -14,8 +14,8 @@ from typing import Annotated, Any
 
 import typer
 
-import pearl_marl
 from pearl_marl.benchmark.tables import MeasuredTable
+from pearl_marl.envs import get_spec
 
 TRAININGS: dict[str, tuple[str, ...]] = {
     "CliffWalking": ("--algo", "q-learning"),
@@ -67,7 +67,7 @@ def main(
         arguments, run = TRAININGS[name], out / name
         if not (run / "policy.safetensors").exists():
             pearl("train", name, *arguments, "--out", str(run))
-        agents = pearl_marl.get_spec(name).agents
+        agents = get_spec(name).agents
         figures = pearl("quantize", str(run), "--n-agents", str(n_agents // agents * agents))
         rows.append(row(figures, arguments[1]))
         print(*rows[-1], flush=True)
