@@ -121,7 +121,7 @@ module pearl_patches
 
   // ---- The host's filter ----
 
-  logic [ TAP_BITS-1:0] write_tap;
+  logic [TAP_BITS-1:0] write_tap;
   logic [WORD_BITS-1:0] write_word;
   logic [TAPS-1:0][WEIGHT_BITS-1:0] written_q;
   logic write_filter;
