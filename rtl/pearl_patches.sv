@@ -129,7 +129,8 @@ module pearl_patches
   assign write_word   = WORD_BITS'(32'(index_i) >> (TAP_BITS + COLUMN_BITS));
   assign write_filter = we_i[Scalings] && 32'(write_tap) == TAPS;
 
-  // A memory has whole filters: one for each weight would take as many times the logic, and synthesis minutes.
+  // Memories have whole filters, a word each: of a memory for each weight, synthesis makes more LUTs, and takes
+  // minutes.
   for (genvar k = 0; k < TAPS; k++) begin : gen_written
     always_ff @(posedge clk_i) begin
       if (we_i[Scalings] && 32'(write_tap) == k) written_q[k] <= wdata_i[WEIGHT_BITS-1:0];
