@@ -34,6 +34,7 @@ from pearl_marl.memory_map import (
     memory_map,
 )
 from pearl_marl.policies.golden_policy import GoldenPolicy
+from pearl_marl.policies.integer_network import IntegerNetwork
 from pearl_marl.spec import EnvSpec, Field, Golden, word_bits
 
 
@@ -93,10 +94,18 @@ def show(view: View, picture: Any) -> None:
 PICTURES = replace(SPEC, observation_space=Box(0, 1, (4, 4, 1), np.uint8), unpack=show)
 """The same environment, of which agents see a picture."""
 
+
+def undecided(network: IntegerNetwork) -> IntegerNetwork:
+    """Return the network with logits so near each other that inputs and draws decide, not biases."""
+    *layers, last = network.layers
+    layers.append(last._replace(bias=last.bias >> 4))
+    return replace(network, layers=tuple(layers), head=network.head._replace(shift=10))
+
+
 POLICIES = {
     "golden": GoldenPolicy(SPEC, act),
-    "network": random_network(np.random.default_rng(3), SPEC, [6], drawn=True),
-    "planes": random_planes(np.random.default_rng(3), PICTURES, 10, [6, 5], drawn=True),
+    "network": undecided(random_network(np.random.default_rng(3), SPEC, [6], drawn=True)),
+    "planes": undecided(random_planes(np.random.default_rng(3), PICTURES, 10, [6, 5], drawn=True)),
 }
 """Of these, rollouts are made: see :func:`rollout_script`."""
 
