@@ -22,7 +22,7 @@ module pearl_patches
     input logic rst_ni,
 
     // A filter has its weights and, behind them, its bias, from a multiple of a power of two on; filters of a word of
-    // them likewise.
+    // them likewise. The bias comes last: with it the filter is stored.
     input logic [NumSections-1:0] we_i,
     input logic [ INDEX_BITS-1:0] index_i,
     input logic [           31:0] wdata_i,
@@ -49,7 +49,7 @@ module pearl_patches
   localparam int unsigned CHUNK_BITS = index_bits(CHUNKS);
   localparam int unsigned LEVELS = $clog2(TAPS);
   // Weights are read, products, their sum; the bias, the shift, the cut.
-  localparam int unsigned TO_SUM = READ_LATENCY + 1 + LEVELS;
+  localparam int unsigned TO_SUM = 2 + LEVELS;
   localparam int unsigned STAGES = TO_SUM + 3;
 
   // Of some sections, and of the numbers as many bits as they have.
@@ -111,64 +111,57 @@ module pearl_patches
   assign valid_o = valid_q[STAGES];
   assign last_o  = last_q[STAGES];
 
-  logic [ROWS-1:0][TAPS-1:0] patches, taps;
+  logic [ROWS-1:0][TAPS-1:0] patches, taps_q;
   for (genvar row = 0; row < ROWS; row++) begin : gen_patch
     for (genvar i = 0; i < SIDE; i++) begin : gen_line
       assign patches[row][i*SIDE*PLANES+:SIDE*PLANES] = elements_q[row][i*WIDTH*PLANES+:SIDE*PLANES];
     end
   end
-  pearl_delay #(
-      .WIDTH (ROWS * TAPS),
-      .STAGES(READ_LATENCY)
-  ) u_taps (
-      .clk_i,
-      .d_i(patches),
-      .d_o(taps)
-  );
+  always_ff @(posedge clk_i) taps_q <= patches;
+
+  // ---- The host's filter ----
+
+  logic [TAP_BITS-1:0] write_tap;
+  logic [WORD_BITS-1:0] write_word;
+  logic [TAPS-1:0][WEIGHT_BITS-1:0] written_q;
+  logic write_filter;
+  assign write_tap    = index_i[TAP_BITS-1:0];
+  assign write_word   = WORD_BITS'(32'(index_i) >> (TAP_BITS + COLUMN_BITS));
+  assign write_filter = we_i[Scalings] && 32'(write_tap) == TAPS;
+
+  // Memories have whole filters, a word each: of a memory for each weight, synthesis makes more LUTs, and takes
+  // minutes.
+  for (genvar k = 0; k < TAPS; k++) begin : gen_written
+    always_ff @(posedge clk_i) begin
+      if (we_i[Scalings] && 32'(write_tap) == k) written_q[k] <= wdata_i[WEIGHT_BITS-1:0];
+    end
+  end
 
   // ---- Each filter of a word ----
-
-  logic [ TAP_BITS-1:0] write_tap;
-  logic [WORD_BITS-1:0] write_word;
-  assign write_tap  = index_i[TAP_BITS-1:0];
-  assign write_word = WORD_BITS'(32'(index_i) >> (TAP_BITS + COLUMN_BITS));
 
   for (genvar i = 0; i < PRODUCTS; i++) begin : gen_column
     logic at_column;
     logic [TAPS-1:0][WEIGHT_BITS-1:0] weights;
     logic signed [SUM_BITS-1:0] bias, bias_late;
 
-    assign at_column = we_i[Scalings] && (32'(index_i) >> TAP_BITS) % (1 << COLUMN_BITS) == i;
+    assign at_column = (32'(index_i) >> TAP_BITS) % (1 << COLUMN_BITS) == i;
 
-    for (genvar k = 0; k < TAPS; k++) begin : gen_tap
-      pearl_ram #(
-          .WIDTH(WEIGHT_BITS),
-          .DEPTH(WORDS)
-      ) u_weights (
-          .clk_i,
-          .we_i   (at_column && 32'(write_tap) == k),
-          .waddr_i(write_word),
-          .wdata_i(wdata_i[WEIGHT_BITS-1:0]),
-          .re_i   (active_q),
-          .raddr_i(word_q),
-          .rdata_o(weights[k])
-      );
-    end
-    pearl_ram #(
-        .WIDTH(SUM_BITS),
+    // A few words in LUTs, without the second register that a block RAM has anyway.
+    pearl_memory #(
+        .WIDTH(SUM_BITS + TAPS * WEIGHT_BITS),
         .DEPTH(WORDS)
-    ) u_biases (
+    ) u_filters (
         .clk_i,
-        .we_i   (at_column && 32'(write_tap) == TAPS),
+        .we_i   (write_filter && at_column),
         .waddr_i(write_word),
-        .wdata_i(wdata_i),
+        .wdata_i({wdata_i, written_q}),
         .re_i   (active_q),
         .raddr_i(word_q),
-        .rdata_o(bias)
+        .rdata_o({bias, weights})
     );
     pearl_delay #(
         .WIDTH (SUM_BITS),
-        .STAGES(TO_SUM - READ_LATENCY)
+        .STAGES(TO_SUM - 1)
     ) u_bias (
         .clk_i,
         .d_i(bias),
@@ -182,7 +175,7 @@ module pearl_patches
       logic [VALUE_BITS-1:0] value_q;
 
       always_ff @(posedge clk_i) begin
-        for (int unsigned k = 0; k < TAPS; k++) terms_q[k] <= taps[row][k] ? weights[k] : '0;
+        for (int unsigned k = 0; k < TAPS; k++) terms_q[k] <= taps_q[row][k] ? weights[k] : '0;
       end
       pearl_sum #(
           .TERMS(TAPS),

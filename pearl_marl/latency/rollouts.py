@@ -85,7 +85,7 @@ def _to_inputs(spec: EnvSpec, engine: Engine, target: Target) -> int:
     if engine.kind != "planes":
         return _READ_LATENCY + 5
     sums = _levels(9 * spec.observation_shape[2])
-    return elaboration.show_core(spec, target).latency + _READ_LATENCY + 4 + sums
+    return elaboration.show_core(spec, target).latency + 5 + sums
 
 
 def _network_issues(

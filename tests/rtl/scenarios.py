@@ -6,13 +6,13 @@ The environment is made for this: a wrong bit anywhere shows in a result.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete
 from gymnasium.vector import AutoresetMode
 from port_script import ALL, HOLE, REFUSED, Script, kept, settings
-from random_policies import random_network
+from random_policies import random_network, random_planes
 
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.devices import BatchConfig, Native
@@ -31,8 +31,10 @@ from pearl_marl.memory_map import (
     Statistics,
     Status,
     StatusError,
+    memory_map,
 )
 from pearl_marl.policies.golden_policy import GoldenPolicy
+from pearl_marl.policies.integer_network import IntegerNetwork
 from pearl_marl.spec import EnvSpec, Field, Golden, word_bits
 
 
@@ -84,16 +86,41 @@ def act(view: View, draws: Draws) -> Word:
     return (first + second + view.word + (view.word >> 5) + view.odd) & 7
 
 
+def show(view: View, picture: Any) -> None:
+    for k in range(16):
+        picture[k] = view.word >> k & 1
+
+
+PICTURES = replace(SPEC, observation_space=Box(0, 1, (4, 4, 1), np.uint8), unpack=show)
+"""The same environment, of which agents see a picture."""
+
+
+def undecided(network: IntegerNetwork) -> IntegerNetwork:
+    """Return the network with logits so near each other that inputs and draws decide, not biases."""
+    *layers, last = network.layers
+    layers.append(last._replace(bias=last.bias >> 4))
+    return replace(network, layers=tuple(layers), head=network.head._replace(shift=10))
+
+
 POLICIES = {
     "golden": GoldenPolicy(SPEC, act),
-    "network": random_network(np.random.default_rng(3), SPEC, [6], drawn=True),
+    "network": undecided(random_network(np.random.default_rng(3), SPEC, [6], drawn=True)),
+    "planes": undecided(random_planes(np.random.default_rng(3), PICTURES, 10, [6, 5], drawn=True)),
 }
 """Of these, rollouts are made: see :func:`rollout_script`."""
 
 
 def with_policy(name: str) -> Build:
     """Return the build with an engine for one of them."""
-    return with_engine(BUILD, POLICIES[name])
+    policy, layout = POLICIES[name], BUILD.layout
+    sizes = layout.n_envs, layout.pe_num, layout.data_wl
+    build = with_engine(Build.of(policy.spec, *sizes), policy)
+    engine = build.layout.engine
+    if engine is None or not engine.is_network:
+        return build
+    # Layers take several words, and the last batch has less groups than the others.
+    engine = engine._replace(products=4, side=3, rounds=min(engine.rounds, 2))
+    return Build(policy.spec, memory_map(policy.spec, *sizes, engine))
 
 
 MEMORIES = ("initial_states", "current_states", "elapsed", "reset_mask", "actions")
@@ -148,7 +175,9 @@ def rollouts(script: Script, name: str, mode: AutoresetMode, limit: int) -> None
     """Make rollouts of several lengths, one after the other, and compare what they add up and leave."""
     native, n = Native(), script.layout.n_envs
     first = int(script.random.integers(0, (1 << 32) - n))
-    native.open(BatchConfig(spec=SPEC, n_envs=n, max_cycles=limit, first_slot=first, autoreset_mode=mode))
+    native.open(
+        BatchConfig(spec=script.spec, n_envs=n, max_cycles=limit, first_slot=first, autoreset_mode=mode)
+    )
     native.reset(seed=int(script.random.integers(1 << 32)))
     native.restore(replace(native.snapshot(), tick=ALL - 2))  # the lower half is about to carry
     native.reset()
@@ -159,10 +188,10 @@ def rollouts(script: Script, name: str, mode: AutoresetMode, limit: int) -> None
 def long_episodes(script: Script, name: str) -> None:
     """Make a rollout from elapsed steps of every size: only episodes that begin in it count."""
     native, n, model = Native(), script.layout.n_envs, script.model
-    native.open(BatchConfig(spec=SPEC, n_envs=n, max_cycles=ALL))
+    native.open(BatchConfig(spec=script.spec, n_envs=n, max_cycles=ALL))
     native.reset(seed=5)
     saved = native.snapshot()
-    slots = SlotMemory(SPEC, n, saved.memory)
+    slots = SlotMemory(script.spec, n, saved.memory)
     slots.elapsed[:] = [1 << k % 32 for k in range(n)]
     native.restore(saved)
     model.states, model.elapsed, model.ters = slots.state, slots.elapsed, np.zeros(n, np.uint8)
