@@ -1,8 +1,9 @@
 """What each environment's core takes by itself, without the memories and the bus around it.
 
-``python experiments/core_sizes.py`` prints the table of docs/compiler.md ("What a core takes"): every
-environment under its default options, synthesised by Yosys for the 7 series and for the ECP5, with cores
-generated for 150 MHz. It takes minutes. With names of environments it prints those.
+``PYTHONPATH=. python experiments/core_sizes.py ENV ...`` prints rows of the table of docs/compiler.md ("What
+a core takes"): environments under their default options, synthesised by Yosys for the 7 series and for the
+ECP5, with cores generated for 150 MHz. A row takes 16 seconds or more, that of SimpleSpread more than eight
+minutes. Without names it prints those of all environments.
 """
 
 from __future__ import annotations

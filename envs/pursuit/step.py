@@ -49,12 +49,12 @@ def make_golden(rules: PursuitRules) -> Golden:
         return State(pursuers, [Evader(*place, 1) for place in scattered(rules, draws, rules.n_evaders)])
 
     def step(state: State, actions: list[Word], draws: Draws) -> tuple[State, list[Word], list[Word]]:
-        """Move pursuers one by one, each of which moves pays for all tags then; then evaders."""
+        """Move pursuers one by one; after each move every pursuer is paid for its tags. Then move evaders."""
         pursuers = [moved(one, action) for one, action in zip(state.pursuers, actions, strict=True)]
         pairs = enumerate(zip(state.pursuers, pursuers, strict=True))
         tagged = [k * tags(old, state) + (rules.n_pursuers - k) * tags(new, state) for k, (old, new) in pairs]
         caught = [one.free and is_caught(one, pursuers) for one in state.evaders]
-        # Beside a surrounded one, or in the cell of the other kind.
+        # A pursuer catches from a cell beside a surrounded evader, and otherwise from the evader's own cell.
         taken = list(zip(state.evaders, caught, strict=True))
         catches = [any(lost and distance(me, it) == rules.surround for it, lost in taken) for me in pursuers]
         evaders = []

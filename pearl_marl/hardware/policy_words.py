@@ -14,6 +14,7 @@ from pearl_marl.memory_map import Engine, Section
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.golden_policy import GoldenPolicy
 from pearl_marl.policies.integer_network import (
+    AgentNetworks,
     Dense,
     IntegerNetwork,
     Levels,
@@ -57,6 +58,11 @@ def policy_words(policy: DevicePolicy, engine: Engine) -> dict[Section, Words]:
     if engine.kind == "golden":
         _check_function(policy, engine)
         return {}  # which is a part of the design
+    if isinstance(policy, AgentNetworks):
+        raise ArgumentError(
+            "no policy engine takes a network for each agent of a world: train with sharing all or "
+            "indicator, or take a device without an engine"
+        )
     spec = policy.spec
     check_engine(spec, engine)
     if not isinstance(policy, IntegerNetwork):
@@ -163,7 +169,7 @@ def filter_words(spec: EnvSpec, inputs: Patches, engine: Engine) -> Words:
     does not have are 0.
     """
     count, greatest = len(inputs.bias), int(bounds(spec.observation_space)[1].max())
-    if inputs.element_shift:
+    if spec.observation_dtype.kind == "f":
         raise _refusal(f"takes planes of 0 and 1, and observations of {spec.id} are {spec.observation_dtype}")
     if greatest > 1:
         raise _refusal(f"takes planes of 0 and 1, and observations of {spec.id} reach {greatest}")

@@ -136,13 +136,13 @@ def _policy(about: Any, tensors: dict[str, Array]) -> IntegerNetwork | AgentNetw
         return _network(spec, about, tensors)
     descriptions = _of(about, "agents", list)
     if not descriptions or not all(isinstance(described, dict) for described in descriptions):
-        raise ArgumentError("its metadata say nothing of its agents")
+        raise ArgumentError("its metadata must describe each agent's network")
     own: list[dict[str, Array]] = [{} for _ in descriptions]
-    for name, tensor in tensors.items():
-        place = next((k for k in range(len(own)) if name.startswith(f"agent.{k}.")), None)
+    for key, tensor in tensors.items():
+        place = next((k for k in range(len(own)) if key.startswith(f"agent.{k}.")), None)
         if place is None:
-            raise ArgumentError(f"it has a tensor {brief(name)}, which is of none of its agents")
-        own[place][name.removeprefix(f"agent.{place}.")] = tensor
+            raise ArgumentError(f"it has a tensor {brief(key)}, which is of none of its agents")
+        own[place][key.removeprefix(f"agent.{place}.")] = tensor
     return AgentNetworks(tuple(_network(spec, *each) for each in zip(descriptions, own, strict=True)))
 
 

@@ -205,14 +205,25 @@ class AgentNetworks(DevicePolicy):
     networks: tuple[IntegerNetwork, ...]
 
     def __post_init__(self) -> None:
+        if not self.networks:
+            raise ArgumentError("there is no network; a world needs one for each agent")
         spec, count = self.spec, len(self.networks)
         if count != spec.agents:
             raise ArgumentError(
-                f"there are {count} networks, and a world of {spec.name} has {spec.agents} agents"
+                f"a world of {spec.name} needs {spec.agents} networks, one for each agent; given: {count}"
             )
-        kinds = {(n.spec.id, str(n.spec.options), n.draws, n.logits) for n in self.networks}
-        if len(kinds) > 1:
-            raise ArgumentError(f"the networks of agents are of different kinds: {sorted(kinds)}")
+        for k, network in enumerate(self.networks):
+            other, own = network.spec, spec
+            if (other.id, other.options) != (own.id, own.options):
+                raise ArgumentError(
+                    f"the network of agent {k} is for {other.id} with {dict(other.options)}, and that of "
+                    f"agent 0 for {own.id} with {dict(own.options)}: all must be for one environment"
+                )
+            if (network.draws, network.logits) != (self.draws, self.logits):
+                raise ArgumentError(
+                    f"the network of agent {k} chooses actions in another way than that of agent 0: all must "
+                    "draw them, or none"
+                )
 
     @property
     def spec(self) -> EnvSpec:  # type: ignore[override]
@@ -257,6 +268,18 @@ def table_network(spec: EnvSpec, values: Array) -> IntegerNetwork:
     actions = values.shape[1]
     layer = Dense(np.zeros((actions, 0), np.int16), np.zeros(actions, np.int32))
     return IntegerNetwork(spec, rows, np.zeros((0, actions), np.int32), (layer,), Head((actions,)))
+
+
+def no_planes(spec: EnvSpec) -> str | None:
+    """Return why an environment's pictures are no planes of numbers that patches take, or ``None``."""
+    low, high = bounds(spec.observation_space)
+    fractions = set(spec.element_fractions)
+    if low.min() < 0 or not np.isfinite(high).all():
+        reached = f"{low.min()} to {high.max()}"
+        return f"patches are of planes of numbers from 0 to a bound, and observations reach {reached}"
+    if len(fractions) > 1:
+        return f"planes have one binary point, and elements have {sorted(fractions)} bits behind theirs"
+    return None
 
 
 def unchanging_network(spec: EnvSpec) -> IntegerNetwork:
@@ -325,17 +348,22 @@ def _check(network: IntegerNetwork) -> None:
                 refuse(
                     f"patches of {inputs.shape}, where observations have the shape {spec.observation_shape}"
                 )
-            if not 0 <= inputs.element_shift < SUM_BITS:
-                refuse(f"elements are shifted by {inputs.element_shift}; possible are 0 to {SUM_BITS - 1}")
-            low, high = bounds(spec.observation_space)
-            if low.min() < 0:
-                refuse(f"patches are of planes of numbers from 0 on, and observations reach {low.min()}")
-            greatest = high.max((0, 1)) * 2.0 ** (max(spec.element_fractions) - inputs.element_shift)
+            fraction = max(spec.element_fractions)
+            if not 0 <= inputs.element_shift <= fraction:
+                refuse(f"elements are shifted by {inputs.element_shift}; possible are 0 to {fraction}")
+            if why := no_planes(spec):
+                refuse(why)
+            greatest = bounds(spec.observation_space)[1].max((0, 1)) * 2.0 ** (
+                fraction - inputs.element_shift
+            )
             sums = np.abs(inputs.weights.astype(np.float64)).sum((1, 2)) @ greatest + np.abs(
                 inputs.bias.astype(np.float64)
             )
             if sums.max() >= 1 << SUM_BITS - 1:
-                refuse(f"sums of patches may reach {sums.max():,.0f}, and have {SUM_BITS} bits")
+                refuse(
+                    f"sums of patches may reach {sums.max():,.0f}, and have {SUM_BITS} bits: take weights of "
+                    "fewer bits"
+                )
             width = len(inputs.bias) * (rows - 2) * (columns - 2)
             most, added = np.full(width, inputs.limit), 0
     if len(network.indicator):

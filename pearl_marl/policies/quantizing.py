@@ -23,6 +23,7 @@ from pearl_marl.policies.integer_network import (
     Patches,
     Rows,
     Scaling,
+    no_planes,
     table_network,
 )
 from pearl_marl.policies.network import Network, SeparateNetworks
@@ -65,7 +66,8 @@ def quantized(
     Raises
     ------
     ArgumentError
-        The widths are impossible, the policy has a memory, or its layers are standardised.
+        The widths are impossible, the policy has a memory, its layers are standardised, or its observations
+        are planes of numbers below 0 or without a bound.
     """
     checked_integer("weight_bits", weight_bits, *BITS)
     checked_integer("activation_bits", activation_bits, *BITS)
@@ -102,6 +104,8 @@ def check_quantizable(policy: NetworkPolicy | TabularPolicy) -> None:
         raise ArgumentError(
             "the policy's layers are standardised, for which integers have no layer: train it by ppo or dqn"
         )
+    if network.encoder.kind == "picture" and (why := no_planes(policy.spec)):
+        raise ArgumentError(f"the policy cannot become one in integers: {why}")
 
 
 def _of_table(policy: TabularPolicy) -> IntegerNetwork:

@@ -27,7 +27,7 @@ from pearl_marl.memory_map import (
     memory_map,
 )
 from pearl_marl.policies.device_policy import policy_draws
-from pearl_marl.policies.integer_network import IntegerNetwork
+from pearl_marl.policies.integer_network import AgentNetworks, IntegerNetwork
 
 from ..rtl.random_policies import random_network, random_planes, random_table
 from ..toy_world import MEADOW
@@ -269,7 +269,12 @@ def test_what_an_engine_does_not_take_is_said() -> None:
     assert policy_words(table, TABLE)
     planes = random_planes(random, get_spec("Breakout"), 6, [8, 8], drawn=True)
     assert policy_words(planes, PLANES)
-    colours = random_planes(random, get_spec("MiniGridEmpty"), 6, [8, 8], drawn=True)
+    colours, floats = (
+        random_planes(random, get_spec(name), 6, [8, 8], drawn=True) for name in ("MiniGridEmpty", "Snake")
+    )
+    apart = AgentNetworks(
+        tuple(random_network(random, MEADOW, [8], drawn=False) for _ in range(MEADOW.agents))
+    )
     wide = dataclasses.replace(table, layers=(table.layers[0]._replace(bias=np.full(4, 200, np.int32)),))
     two = tuple(
         layer._replace(activation=np.full(1024, k, np.int16)) for k, layer in enumerate(network.layers[:2])
@@ -282,6 +287,8 @@ def test_what_an_engine_does_not_take_is_said() -> None:
         (planes, NETWORK, "the host unpacks those of Breakout-v.; take Engine..planes"),
         (planes, TABLE, "the host unpacks those of Breakout-v.; take Engine..planes"),
         (colours, PLANES, "takes planes of 0 and 1, and observations of MiniGridEmpty.* reach 255;"),
+        (floats, PLANES, "takes planes of 0 and 1, and observations of Snake.* are float32"),
+        (apart, NETWORK, "no policy engine takes a network for each agent of a world"),
         (planes, PLANES._replace(filters=5), "has 5 filters, and this policy 6"),
         (planes, PLANES._replace(weight_bits=4), "has weights of 4 bits, and this policy has"),
         (network, NETWORK._replace(layers=2), "has 2 layers, and this policy 3"),

@@ -18,7 +18,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation import Evaluation
 from pearl_marl.policies import integer_file
 from pearl_marl.policies.device_policy import Array, policy_draws
-from pearl_marl.policies.integer_network import AgentNetworks, IntegerNetwork, table_network
+from pearl_marl.policies.integer_network import AgentNetworks, IntegerNetwork, Patches, table_network
 from pearl_marl.spec import EnvSpec
 
 from .networks import random_network
@@ -103,8 +103,17 @@ def test_integers_choose_as_floats_do(name: str, kind: str, how: dict[str, Any])
 def test_planes_that_may_be_below_0_are_refused() -> None:
     bits = pearl_marl.get_spec("TicTacToe")
     below = replace(bits, observation_space=Box(-1, 1, bits.observation_shape, np.int8))
-    with pytest.raises(ArgumentError, match=r"patches are of planes of numbers from 0 on, and .* reach -1"):
+    with pytest.raises(ArgumentError, match=r"planes of numbers from 0 to a bound, and .* reach -1"):
         replace(random_network(bits, 5), spec=below)
+    with pytest.raises(ArgumentError, match=r"cannot become one in integers: .* reach -1"):
+        quantized(NetworkPolicy(below, "logits", 8), np.zeros((4, *bits.observation_shape), np.int8))
+
+
+def test_elements_without_a_binary_point_are_not_shifted() -> None:
+    network = random_network(pearl_marl.get_spec("TicTacToe"), 5)
+    assert isinstance(network.inputs, Patches)
+    with pytest.raises(ArgumentError, match="elements are shifted by 1; possible are 0 to 0"):
+        replace(network, inputs=network.inputs._replace(element_shift=1))
 
 
 def test_layers_share_a_table_where_weights_are_large_enough() -> None:
@@ -234,21 +243,35 @@ def test_each_agent_may_have_a_network(tmp_path: Path) -> None:
             assert np.array_equal(logits[agent :: MEETING.agents], due)
 
 
+def test_each_agent_is_given_its_own_masks_and_draws() -> None:
+    policy, n = networks_of_agents(pearl_marl.get_spec("ConnectFour")), 12
+    rng = np.random.default_rng(1)
+    elements = rng.integers(0, 2, (n, 84))
+    masks = rng.integers(0, 2, (n, 7)).astype(np.int8)
+    draws = rng.integers(0, 1 << 32, (n, 1), np.uint32)
+    agents = np.arange(n) % 2
+    choice = policy.choose(elements, agents, masks, draws)
+    for k in range(n):
+        alone = slice(k, k + 1)
+        own = policy.networks[k % 2].choose(elements[alone], agents[alone], masks[alone], draws[alone])
+        assert choice.words[k] == own.words[0]
+
+
 def test_networks_of_agents_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     from pearl_marl.policies import policy_file
 
     policy, file = networks_of_agents(), tmp_path / "integers.safetensors"
-    with pytest.raises(ArgumentError, match="1 networks, and a world of LevelBasedForaging has 2 agents"):
+    with pytest.raises(ArgumentError, match="needs 2 networks, one for each agent; given: 1"):
         AgentNetworks(policy.networks[:1])
     others = networks_of_agents(MEETING.with_options(sight=2)).networks
-    with pytest.raises(ArgumentError, match="the networks of agents are of different kinds"):
+    with pytest.raises(ArgumentError, match=r"agent 1 is for LevelBasedForaging-v. with .*'sight': 2"):
         AgentNetworks((policy.networks[0], others[1]))
     integer_file.save(policy, file)
     about, tensors = policy_file.read(file)
     for change, says in (
         ({"agents": about["agents"][:1]}, "a tensor 'agent.1.*of none of its agents"),
-        ({"agents": [1, 2]}, "say nothing of its agents"),
-        ({"agents": []}, "say nothing of its agents"),
+        ({"agents": [1, 2]}, "must describe each agent's network"),
+        ({"agents": []}, "must describe each agent's network"),
     ):
         policy_file.write(file, {**about, **change}, tensors)
         with pytest.raises(ArgumentError, match=says):
