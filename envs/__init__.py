@@ -141,13 +141,30 @@ def _folder_of(package: str) -> Path | None:
     return next(found, None)
 
 
+ARGUMENTS = frozenset(
+    ("env_id", "n_agents", "num_envs", "device", "autoreset", "autoreset_mode", "max_cycles", "rewards")
+) | {"initial_states", "render_mode", "copy", "observations"}
+"""What ``parallel_env`` and ``make_vec`` take for themselves: no option can have such a name."""
+
+
 def register(spec: EnvSpec) -> None:
-    """Add an environment under its ``spec.name``; one of the same name is replaced, with a warning."""
+    """Add an environment under its ``spec.name``; one of the same name is replaced, with a warning.
+
+    Raises
+    ------
+    ArgumentError
+        It is no spec, or an option has the name of an argument of ``parallel_env`` or ``make_vec``.
+    """
     from pearl_marl.spec import EnvSpec
     from pearl_marl.spec.pickling import found_by
 
     if not isinstance(spec, EnvSpec):
         raise ArgumentError(f"register() takes an EnvSpec, not {type(spec).__name__}")
+    if hidden := ARGUMENTS & {*spec.options}:
+        raise ArgumentError(
+            f"{spec.name} has an option {min(hidden)!r}, which parallel_env() and make_vec() take for "
+            "themselves: give it another name"
+        )
     if _key(spec.name) in {**_folders(), **_specs}:
         warnings.warn(f"environment {spec.name!r} was registered before and is replaced", stacklevel=3)
     _specs[_key(spec.name)] = spec

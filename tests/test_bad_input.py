@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Callable
 from typing import Any
@@ -14,6 +15,7 @@ from gymnasium.vector import AutoresetMode
 import pearl_marl
 from pearl_marl.devices import BatchConfig, Native, Ray, Rtl, Sharded
 from pearl_marl.devices.served import ServedBoard
+from pearl_marl.envs import ARGUMENTS
 from pearl_marl.errors import ActionError, ArgumentError, OrderError, PearlError, SavedStateError
 from pearl_marl.latency import LINKS, plan
 from pearl_marl.layout import Array, Bits
@@ -621,6 +623,19 @@ def test_specs(changes: dict[str, Any], words: str) -> None:
 def test_registering() -> None:
     with pytest.raises(ArgumentError, match="takes an EnvSpec, not str"):
         pearl_marl.register("Drift")  # type: ignore[arg-type]
+
+
+def test_options_do_not_hide_arguments() -> None:
+    """`pearl run` gives both by name, and one of them would be lost."""
+    for make in (pearl_marl.parallel_env, pearl_marl.make_vec):
+        own = inspect.signature(make).parameters.keys() - {"options"}
+        assert own <= ARGUMENTS
+        for name in pearl_marl.list_envs():
+            assert not own & {*pearl_marl.get_spec(name).options}, name
+    from dataclasses import replace
+
+    with pytest.raises(ArgumentError, match="Drift has an option 'max_cycles', which parallel_env"):
+        pearl_marl.register(replace(DRIFT, options={"max_cycles": 9}, configure=lambda max_cycles: DRIFT))
 
 
 def test_registering_twice_warns(toys: None) -> None:
