@@ -26,12 +26,14 @@ TRAININGS: dict[str, tuple[str, ...]] = {
         (
             *("CartPole", "MountainCar", "Acrobot", "MountainCarContinuous", "Pendulum"),
             *("Asterix", "Breakout", "Freeway", "Seaquest", "SpaceInvaders"),
-            *("MiniGridDoorKey", "MiniGridFourRooms", "Snake", "Elevators"),
+            *("MiniGridDoorKey", "MiniGridFourRooms", "Elevators"),
             *("SimpleSpread", "SimpleTag", "CoinGame", "LevelBasedForaging", "RobotWarehouse"),
         ),
         ("--algo", "ppo"),
     ),
+    # Their settings are for these options.
     "Overcooked": ("--algo", "ppo", "--option", "reward_shaping_factor=1"),
+    "Snake": ("--algo", "ppo", "--option", "num_rows=6", "--option", "num_cols=6"),
     **dict.fromkeys(("ConnectFour", "KuhnPoker", "LeducPoker"), ("--algo", "self-play")),
 }
 """How each is trained."""
