@@ -141,9 +141,10 @@ def _folder_of(package: str) -> Path | None:
     return next(found, None)
 
 
-ARGUMENTS = frozenset(
-    ("env_id", "n_agents", "num_envs", "device", "autoreset", "autoreset_mode", "max_cycles", "rewards")
-) | {"initial_states", "render_mode", "copy", "observations"}
+ARGUMENTS = {
+    *("env_id", "n_agents", "num_envs", "device", "autoreset", "autoreset_mode", "max_cycles", "rewards"),
+    *("initial_states", "render_mode", "copy", "observations"),
+}
 """What ``parallel_env`` and ``make_vec`` take for themselves: no option can have such a name."""
 
 

@@ -627,13 +627,12 @@ def test_registering() -> None:
 
 def test_options_do_not_hide_arguments() -> None:
     """`pearl run` gives both by name, and one of them would be lost."""
-    for make in (pearl_marl.parallel_env, pearl_marl.make_vec):
-        own = inspect.signature(make).parameters.keys() - {"options"}
-        assert own <= ARGUMENTS
-        for name in pearl_marl.list_envs():
-            assert not own & {*pearl_marl.get_spec(name).options}, name
     from dataclasses import replace
 
+    makers = pearl_marl.parallel_env, pearl_marl.make_vec
+    assert {*ARGUMENTS, "options"} == {name for make in makers for name in inspect.signature(make).parameters}
+    for name in pearl_marl.list_envs():
+        assert not ARGUMENTS & {*pearl_marl.get_spec(name).options}, name
     with pytest.raises(ArgumentError, match="Drift has an option 'max_cycles', which parallel_env"):
         pearl_marl.register(replace(DRIFT, options={"max_cycles": 9}, configure=lambda max_cycles: DRIFT))
 
