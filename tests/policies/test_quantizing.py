@@ -257,6 +257,13 @@ def test_each_agent_is_given_its_own_masks_and_draws() -> None:
         assert choice.words[k] == own.words[0]
 
 
+def test_rollouts_of_networks_of_agents_are_not_timed(tmp_path: Path, pearl: Any) -> None:
+    integer_file.save(networks_of_agents(), tmp_path / "integers.safetensors")
+    status, _, err = pearl("bench", "rollouts", str(tmp_path))
+    assert status == 2
+    assert "has a network for each of the 2 agents of a world" in err
+
+
 def test_networks_of_agents_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     from pearl_marl.policies import policy_file
 
