@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -85,3 +86,20 @@ class Rollout:
     def mean_length(self) -> float | None:
         """The mean of the episodes' lengths; ``None`` where none ended."""
         return float(self.lengths.sum() / self.episodes) if self.episodes else None
+
+
+class Experience(NamedTuple):
+    """Every step of a rollout, as learners take it: of shape ``(steps, n_agents, ...)``.
+
+    What agents observe has a row more, for where the last step led.
+    """
+
+    observations: Array
+    action_masks: Array | None
+    in_episode: Array  # bool: which agents took part in the step
+    words: Array  # int64, one for each field of an action
+    outputs: Array  # float32: the network's, without noise
+    rewards: Array
+    terminations: Array
+    truncations: Array
+    final_observations: Array  # what agents saw last; only rows of truncations have a meaning

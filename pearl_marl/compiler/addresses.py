@@ -7,6 +7,7 @@ functions of that kind.
 
 from __future__ import annotations
 
+import functools
 from importlib import import_module
 from typing import Annotated, Any, get_origin, get_type_hints
 
@@ -104,7 +105,8 @@ def in_memory(fields: Any) -> Array:
 
     The arrays among them have to be kept as long as it is used.
     """
-    kind, own = type_of(type(fields)), _typeof(fields)
+    of_fields: Any = type(fields)
+    kind, own = type_of(of_fields), _typeof(fields)
     if own != kind:
         raise TypeError(f"the fields are of the type {own}; it must be {kind}")
     context = cpu_target.target_context
@@ -132,7 +134,8 @@ def fields_at(kind: type) -> Any:
     return read
 
 
-def type_of(kind: type) -> Any:
+@functools.cache
+def type_of(kind: Any) -> Any:
     """Return Numba's type of a kind of named tuple, by what its fields are annotated with."""
     if kind in _SCALARS:
         return _SCALARS[kind]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import weakref
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
@@ -94,6 +95,19 @@ def compile_kernels(spec: EnvSpec, counter: np.dtype[Any] | None = None) -> Kern
 
     ``counter`` is the dtype of elapsed steps, as :func:`kernel_source` takes it.
     """
+    key = id(spec), counter
+    if _names.get(key) not in _loaded:
+        _names[key] = _load(spec, counter)
+        weakref.finalize(spec, _names.pop, key, None).atexit = False  # another may have its id later
+    return _loaded[_names[key]]
+
+
+_names: dict[tuple[int, np.dtype[Any] | None], str] = {}
+"""Names for specs that are still there: to write and hash a source takes longer than many a rollout."""
+
+
+def _load(spec: EnvSpec, counter: np.dtype[Any] | None) -> str:
+    """Load kernels, unless they are; return their name."""
     source = kernel_source(spec, counter)
     parts = (
         agents_alike,
@@ -127,7 +141,7 @@ def compile_kernels(spec: EnvSpec, counter: np.dtype[Any] | None = None) -> Kern
         )
         made: dict[str, Any] = {kernel: getattr(module, kernel) for kernel in KERNELS}
         _loaded[name] = Kernels(**made, path=path)
-    return _loaded[name]
+    return name
 
 
 _loaded: dict[str, Kernels] = {}

@@ -13,6 +13,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import enum
 import secrets
 import time
@@ -33,7 +34,7 @@ from pearl_marl.batch import rewards as reward_tables
 from pearl_marl.batch.actions import ActionRules, encode, refuse_masked, room_for_words
 from pearl_marl.batch.config import BatchConfig, checked_mask
 from pearl_marl.batch.results import Recycler, ResultLayout
-from pearl_marl.batch.rollout import Rollout
+from pearl_marl.batch.rollout import Experience, Rollout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import BatchStep, Observed, on_host
@@ -42,6 +43,7 @@ from pearl_marl.devices.recovery import CheckpointLog
 from pearl_marl.devices.threads import Threads
 from pearl_marl.errors import ActionError, ArgumentError, DeviceError, OrderError, renamed
 from pearl_marl.golden import rng
+from pearl_marl.policies.dense_policy import DenseNetwork
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.spec import EnvSpec
 
@@ -119,6 +121,9 @@ class Device(ABC):
 
     has_engine = False
     """Whether it has a policy engine: then a rollout is one call of the hardware, and sums come back."""
+
+    runs_networks = False
+    """Whether it can run a network of floats beside its environments: see :meth:`experience`."""
 
     recovery_type: type[CheckpointLog] | None = None
     """What keeps them; ``None`` where nothing can fail under way."""
@@ -377,16 +382,44 @@ class Device(ABC):
             alone = self._rollout_alone(policy, steps, record, episodes)
             if alone is not None:
                 return alone
-            saved = self.snapshot()
-            try:
+            with self._undone_if_it_fails():
                 result, observed = self._rollout(policy, steps, record, episodes)
-            except BaseException:
-                if self.phase is not Phase.FAILED:
-                    self.seed, self.tick = saved.seed, saved.tick
-                    self._remember(self._write(saved.memory, saved.stored))
-                raise
             self._remember(observed)
             return result
+
+    def experience(self, network: DenseNetwork, noise: Array) -> Experience:
+        """Do a rollout for a learner, on a device that ``runs_networks``; see :meth:`rollout`.
+
+        Its actions are those of the greatest outputs of a network, with noise added.
+
+        Parameters
+        ----------
+        network
+            One for this environment, whose observations take no ``unpack``.
+        noise
+            ``float32`` of shape ``(steps, n_agents, outputs)``.
+        """
+        self.check_idle("experience", ready=True)
+        with self._undone_if_it_fails():
+            record, observed = self._experience(network, noise)
+        last = self._remember(observed)
+        return record.experience(self.config, observed._replace(obs=last))
+
+    def _experience(self, network: DenseNetwork, noise: Array) -> tuple[rollouts.Record, Observed]:
+        """Do the steps; return what was recorded, and what is observed last."""
+        raise NotImplementedError
+
+    @contextlib.contextmanager
+    def _undone_if_it_fails(self) -> Iterator[None]:
+        """Put slots, seed and tick back where they were if what is done meanwhile fails."""
+        saved = self.snapshot()
+        try:
+            yield
+        except BaseException:
+            if self.phase is not Phase.FAILED:
+                self.seed, self.tick = saved.seed, saved.tick
+                self._remember(self._write(saved.memory, saved.stored))
+            raise
 
     def shown_to(self, policy: DevicePolicy) -> Observed:
         """Return what a policy is shown now: observations of shape ``(n_agents, elements)``."""

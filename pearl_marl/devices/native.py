@@ -30,10 +30,17 @@ from pearl_marl.devices.native_rollout import (
     compiled_policy,
     compiled_rollout,
 )
-from pearl_marl.devices.rollouts import Record, Sums, element_dtype, in_parts, recorded_form
+from pearl_marl.devices.rollouts import (
+    Record,
+    Sums,
+    element_dtype,
+    in_parts,
+    recorded_form,
+)
 from pearl_marl.devices.threads import ThreadCount, Threads, cores
 from pearl_marl.errors import ActionError
 from pearl_marl.golden import rng
+from pearl_marl.policies.dense_policy import DenseNetwork
 from pearl_marl.policies.device_policy import CompiledPolicy, DevicePolicy
 
 _TICK = STEP_ARGUMENTS.index("tick")
@@ -54,6 +61,7 @@ class Native(Device):
     """
 
     name = "native"
+    runs_networks = True
 
     def __init__(self, threads: int | None = None) -> None:
         threads = checked_count_or_none("threads", threads)
@@ -204,20 +212,40 @@ class Native(Device):
         compiled = None if by_single_steps else compiled_policy(policy, element_dtype(seen))
         if compiled is None:
             return super()._rollout(policy, steps, record, episodes)
-        kernels, actions = compile_kernels(seen, self._elapsed.dtype), np.dtype(spec.action_dtype)
+        kept = Record.of(config, steps if record else 0, policy.logits)
+        sums, observed = self._compiled_rollout(policy, compiled, steps, kept, episodes)
+        return sums.result(steps, kept.arrays(config) if record else {}), observed
+
+    def _experience(self, network: DenseNetwork, noise: Array) -> tuple[Record, Observed]:
+        compiled = compiled_policy(network, element_dtype(network.form(self.config.spec)))
+        assert compiled is not None
+        record = Record.of(self.config, len(noise), noise.shape[2], noise)
+        _, observed = self._compiled_rollout(network, compiled, len(noise), record, None)
+        return record, observed
+
+    def _compiled_rollout(
+        self,
+        policy: DevicePolicy,
+        compiled: CompiledPolicy,
+        steps: int,
+        record: Record,
+        episodes: int | None,
+    ) -> tuple[Sums, Observed]:
+        """Do the steps of a rollout in the compiled loop; return its sums, and what is observed last."""
+        config, spec = self.config, self.config.spec
+        kernels = compile_kernels(policy.form(spec), self._elapsed.dtype)
+        actions = np.dtype(spec.action_dtype)
         step = address_of_step(kernels, actions, self._arguments, self.reward_table)
         elapsed = self._elapsed.repeat(spec.agents)
         sums = Sums.of(elapsed, self.in_episode, self.resetting(), episodes)
-        kept = Record.of(config, steps if record else 0, policy.logits)
-        in_bytes = kept._replace(observations=kept.observations.view(np.uint8))
+        in_bytes = record.in_bytes()
         for done, some in in_parts(steps):
             rows = in_bytes.between(done, done + some)
-            self._run_rollout(compiled, self.shown_to(policy), step, sums, rows, some)
-        observed = self._reset(np.zeros(config.n_envs, np.bool_), None)
-        return sums.result(steps, kept.arrays(config) if record else {}), observed
+            self._run_part(compiled, self.shown_to(policy), step, sums, rows, some)
+        return sums, self._reset(np.zeros(config.n_envs, np.bool_), None)
 
     @uninterrupted
-    def _run_rollout(
+    def _run_part(
         self, policy: CompiledPolicy, seen: Observed, step: int, sums: Sums, record: Record, steps: int
     ) -> None:
         """Do some steps of a rollout."""

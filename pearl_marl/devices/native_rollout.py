@@ -150,6 +150,7 @@ def _rollout(act, policy, n_draws, step, arguments, table, batch, sums, record, 
     n_agents = len(batch.rewards)
     row, size = len(batch.elements) // n_agents, len(batch.actions) // (n_agents * fields)
     masked, keep = len(batch.masks) > 0, len(record.rewards) > 0
+    learns = record.present.shape[1] > 0
     draws = np.empty((rows, n_draws), np.uint32)
     words = np.empty((rows, fields), np.int64)
     logits = np.empty((rows if keep else 0, record.logits.shape[2]), np.int32)
@@ -167,7 +168,11 @@ def _rollout(act, policy, n_draws, step, arguments, table, batch, sums, record, 
             mine[TICK] = tick
             if n_draws:
                 _make_draws(arguments, tick, agents, b, of_block)
-            call_act(act, to_act)
+            if learns:
+                noise = record.noise[t, first:last]
+                call_act(act, (policy, elements, masks, noise, own, logits))
+            else:
+                call_act(act, to_act)
             if size == 1:
                 _put(flat, actions)
             elif size == 2:
@@ -182,12 +187,18 @@ def _rollout(act, policy, n_draws, step, arguments, table, batch, sums, record, 
                 _copy(logits[:n], record.logits[t, first:last])
                 if masked:
                     _copy(masks, record.masks[t, first:last])
+            if learns:
+                _put(batch.present[first:last], record.present[t, first:last])
             call_step(step, to_step)
             _add(sums, batch, first, n, t, arguments[NEXT_STEP])
             if keep:
                 _put(batch.rewards[first:last], record.rewards[t, first:last])
                 _put(batch.terminations[first:last], record.terminations[t, first:last])
                 _put(batch.truncations[first:last], record.truncations[t, first:last])
+            if learns:
+                for i in range(first, last):
+                    if batch.truncations[i]:
+                        _put(batch.final[i * row : (i + 1) * row], record.final[t, i])
         for i in range(first, last):
             sums.length[i] += steps
 

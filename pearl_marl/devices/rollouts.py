@@ -16,7 +16,7 @@ from pearl_marl.base.arrays import Array
 from pearl_marl.batch.actions import room_for_words
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import check_memory
-from pearl_marl.batch.rollout import Rollout
+from pearl_marl.batch.rollout import Experience, Rollout
 from pearl_marl.batch.step import BatchStep, Observed
 from pearl_marl.checks import checked_count_or_none, checked_flag, checked_integer
 from pearl_marl.compiler.kernels import compile_kernels
@@ -119,13 +119,18 @@ class Record(NamedTuple):
     terminations: Array  # (steps, n_agents) uint8
     truncations: Array  # (steps, n_agents) uint8
     logits: Array  # (steps, n_agents, outputs) int32; of no outputs without logits
+    # For learners; else of no agents.
+    noise: Array  # (steps, n_agents, outputs) uint32: what the policy is given for draws
+    present: Array  # (steps, n_agents) uint8: which agents take part
+    final: Array  # as observations: what agents saw last, where the time limit ended their episodes
 
     @classmethod
-    def of(cls, config: BatchConfig, steps: int, logits: int) -> Record:
-        """Return room for so many steps."""
+    def of(cls, config: BatchConfig, steps: int, logits: int, noise: Array | None = None) -> Record:
+        """Return room for so many steps; for a learner, whose ``noise`` the policy is given."""
         spec, n = config.spec, config.n_agents
         form = recorded_form(spec)
         rows, masks = (steps, n), len(spec.mask_fields)
+        learners = (steps, 0 if noise is None else n)
         return cls(
             np.empty((*rows, form.observation_size), element_dtype(form)),
             np.empty((steps, n if masks else 0, masks), np.int8),
@@ -134,7 +139,14 @@ class Record(NamedTuple):
             np.empty(rows, np.uint8),
             np.empty(rows, np.uint8),
             np.empty((*rows, logits), np.int32),
+            np.empty((*learners, 0), np.uint32) if noise is None else noise.view(np.uint32),
+            np.empty(learners, np.uint8),
+            np.empty((*learners, form.observation_size), element_dtype(form)),
         )
+
+    def in_bytes(self) -> Record:
+        """Return the same memory with observations as bytes, as the compiled loop takes them."""
+        return self._replace(observations=self.observations.view(np.uint8), final=self.final.view(np.uint8))
 
     def between(self, start: int, stop: int) -> Record:
         """Return some of the steps, in the same memory."""
@@ -143,15 +155,8 @@ class Record(NamedTuple):
     def arrays(self, config: BatchConfig) -> dict[str, Any]:
         """Return the steps as a :class:`Rollout` has them: as an environment takes and gives them."""
         spec = config.spec
-        shape, dtype = (*self.rewards.shape, *spec.observation_shape), spec.observation_dtype
-        observations = self.observations
-        if dtype == np.bool_:
-            observations = observations.view(dtype)
-        elif recorded_form(spec) is not spec:
-            scale = np.array([2.0**-bits for bits in spec.element_fractions], dtype)
-            observations = observations.astype(dtype) * scale
         return {
-            "observations": observations.reshape(shape),
+            "observations": observations_of(spec, self.observations),
             "action_masks": self.masks if spec.mask_fields else None,
             "actions": actions_of(spec, self.words),
             "rewards": self.rewards,
@@ -159,6 +164,35 @@ class Record(NamedTuple):
             "truncations": self.truncations.view(np.bool_),
             "logits": self.logits if self.logits.shape[2] else None,
         }
+
+    def experience(self, config: BatchConfig, last: Observed) -> Experience:
+        """Return the steps as a learner takes them, and what was observed ``last``."""
+        made, alive = self.arrays(config), self.present.view(np.bool_)
+        masks = made["action_masks"]
+        if last.action_masks is not None:
+            masks = np.concatenate([masks, last.action_masks[None]])
+        return Experience(
+            observations=np.concatenate([made["observations"], last.obs[None]]),
+            action_masks=masks,
+            in_episode=np.concatenate([alive, last.in_episode[None]]),
+            words=self.words,
+            outputs=self.logits.view(np.float32),
+            rewards=made["rewards"],
+            terminations=made["terminations"],
+            truncations=made["truncations"],
+            final_observations=observations_of(config.spec, self.final),
+        )
+
+
+def observations_of(spec: EnvSpec, elements: Array) -> Array:
+    """Return elements of :func:`recorded_form`, shape ``(..., elements)``, as an environment gives them."""
+    dtype = spec.observation_dtype
+    if dtype == np.bool_:
+        elements = elements.view(dtype)
+    elif recorded_form(spec) is not spec:
+        scale = np.array([2.0**-bits for bits in spec.element_fractions], dtype)
+        elements = elements.astype(dtype) * scale
+    return elements.reshape(*elements.shape[:-1], *spec.observation_shape)
 
 
 def actions_of(spec: EnvSpec, words: Array) -> Array:

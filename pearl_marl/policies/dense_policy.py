@@ -1,7 +1,7 @@
-"""The best actions of a network of floats, chosen beside the environments of the CPU.
+"""The actions of a network of floats, chosen beside the environments of the CPU.
 
-Trainings evaluate by it what they have learned. Its floats are rounded as this processor does, so another
-machine may take another action where two are about as good.
+Trainings gather rollouts by it, with noise, and evaluate what they have learned, without. Its floats are
+rounded as this processor does, so another machine may take another action where two are about as good.
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ from pearl_marl.policies.integer_vectors import take
 from pearl_marl.spec import EnvSpec
 
 Numbers = Annotated[Array, types.Array(types.int64, 1, "C")]
+
+_MASKED = np.finfo(np.float32).min  # as in pearl_marl.policies.network, which takes torch
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +97,8 @@ def _act(network, elements, masks, draws, words, logits):  # type: ignore[no-unt
     numbers = np.empty((ROWS, count if numbered else 0), np.int64)
     position = np.empty(ROWS if len(layers.indicator) else 0, np.int64)
     observed = NetworkInputs(x, net.mean, net.scale, numbers, position)
-    outputs = len(weights.bias3)
+    outputs, noise, kept = len(weights.bias3), draws.view(np.float32), logits.view(np.float32)
+    noisy, keep = noise.shape[1] > 0, kept.shape[1] > 0
     for first in range(0, len(words), ROWS):
         n = min(ROWS, len(words) - first)
         take((elements, taken), (first, n, count, net.size, net.signed, ROWS))
@@ -109,14 +112,19 @@ def _act(network, elements, masks, draws, words, logits):  # type: ignore[no-unt
             position[s] = (first + s) % net.agents
         forward_rows(layers, weights, observed, rows[:n], tile)
         for s in range(n):
-            start = s * outputs
+            start, row = 0, first + s
             for field in range(len(net.counts)):
-                best, found = 0, False
+                best, found, greatest = 0, False, _MASKED
                 for j in range(net.counts[field]):
-                    allowed = len(masks) == 0 or masks[first + s, j] != 0
-                    if allowed and (not found or tile.outputs[start + j] > tile.outputs[start + best]):
-                        best, found = j, True
-                words[first + s, field] = best
+                    output = tile.outputs[s * outputs + start + j]
+                    allowed = len(masks) == 0 or masks[row, j] != 0
+                    if keep:
+                        kept[row, start + j] = output if allowed else _MASKED
+                    if noisy:
+                        output += noise[row, start + j]
+                    if allowed and (not found or output > greatest):
+                        best, found, greatest = j, True, output
+                words[row, field] = best
                 start += net.counts[field]
 
 

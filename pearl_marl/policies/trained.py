@@ -192,11 +192,17 @@ class NetworkPolicy(_Trained):
     @property
     def beside(self) -> DenseNetwork | None:
         """See :class:`_Trained`; of small networks that choose the best of numbered actions."""
-        network, spec = self.network, self.spec
         random = {"logits": self.temperature, "values": self.epsilon}.get(self.about["kind"], 1.0)
+        return None if random else self.dense
+
+    @property
+    def dense(self) -> DenseNetwork | None:
+        """What chooses the best of numbered actions in a rollout, if the network is small."""
+        network, spec = self.network, self.spec
         # Floats that are unpacked have no fixed point, and would be rounded.
         rounded = spec.unpack is not None and spec.observation_dtype.kind == "f"
-        if random or rounded or not isinstance(network, Network) or not is_dense(network):
+        numbered = self.about["kind"] != "mean"
+        if not numbered or rounded or not isinstance(network, Network) or not is_dense(network):
             return None
         encoder, nothing = network.encoder, torch.zeros(0)
         numbers = encoder.kind == "numbers"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -185,19 +186,27 @@ class ActorCritic(nn.Module):
 
     def log_probs(self, outputs: Tensor, actions: Tensor) -> Tensor:
         """Return the logarithms of actions' probabilities."""
-        return self.evaluate(outputs, actions)[0]
+        if self.continuous:
+            return self._evaluate_numbers(outputs, actions)[0]
+        return torch.stack([_chosen(*field) for field in self._fields(outputs, actions)]).sum(0)
 
     def evaluate(self, outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         """Return the logarithms of actions' probabilities, and the mean entropy of the policy."""
         if self.continuous:
             return self._evaluate_numbers(outputs, actions)
-        if not self.policy.heads:
-            return _evaluate_choices(outputs, actions)
-        # Fields of an action are chosen independently of each other.
-        heads = torch.split(outputs, self.policy.heads, -1)
-        fields = [_evaluate_choices(*field) for field in zip(heads, actions.unbind(-1), strict=True)]
-        log_probs, entropies = map(torch.stack, zip(*fields, strict=True))
-        return log_probs.sum(0), entropies.sum()
+        fields = list(self._fields(outputs, actions))
+        entropies = [-(log_probs.exp() * log_probs).sum(-1).mean() for log_probs, _ in fields]
+        return torch.stack([_chosen(*field) for field in fields]).sum(0), torch.stack(entropies).sum()
+
+    def _fields(self, outputs: Tensor, actions: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
+        """Yield the logarithms of all probabilities of each field of actions, and what was chosen.
+
+        Fields are chosen independently of each other.
+        """
+        heads = self.policy.heads
+        columns = actions.unbind(-1) if heads else (actions,)
+        for logits, column in zip(torch.split(outputs, heads or outputs.shape[-1], -1), columns, strict=True):
+            yield logits.log_softmax(-1), column
 
     def _evaluate_numbers(self, outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         deviations = (actions - outputs) / self.log_deviation.exp()
@@ -206,7 +215,5 @@ class ActorCritic(nn.Module):
         return log_probs, entropy
 
 
-def _evaluate_choices(outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
-    log_probs = outputs.log_softmax(-1)
-    entropies = -(log_probs.exp() * log_probs).sum(-1)
-    return log_probs.gather(-1, actions[..., None])[..., 0], entropies.mean()
+def _chosen(log_probs: Tensor, column: Tensor) -> Tensor:
+    return log_probs.gather(-1, column[..., None])[..., 0]

@@ -10,9 +10,12 @@ from gymnasium.spaces import Discrete
 from torch import Tensor
 
 from pearl_marl.batch.config import worlds_of
+from pearl_marl.batch.rollout import Experience
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.compiler.packing import packed
 from pearl_marl.devices import BatchConfig, BatchStep, Cuda, Device, make_device
+from pearl_marl.policies.dense_policy import DenseNetwork
+from pearl_marl.policies.trained import NetworkPolicy
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.actor_critic import Inputs
 
@@ -87,6 +90,19 @@ class Agents:
         self.begins = step.ended | ~alive
         return step
 
+    def beside(self, policy: NetworkPolicy) -> DenseNetwork | None:
+        """Return what chooses actions beside these agents, if that can be: a network for the CPU."""
+        asked_otherwise = self.spec.turns or self.central or self.spec.unpack is not None
+        return policy.dense if self.device.runs_networks and not asked_otherwise else None
+
+    def experience(self, network: DenseNetwork, noise: Tensor) -> Experience:
+        """Step every agent by a network with noise, as often as that has rows; return all steps."""
+        steps = self.device.experience(network, noise.numpy())
+        self._observe(steps.observations[-1])
+        over = steps.terminations[-1] | steps.truncations[-1] | ~steps.in_episode[-2]
+        self.begins = torch.from_numpy(over)
+        return steps
+
     def _observe(self, obs: Any) -> None:
         obs = torch.as_tensor(obs)
         masks = state = None
@@ -98,7 +114,7 @@ class Agents:
         self.inputs = Inputs(obs, masks, self.position, state)
         if self.spec.agents > 1:  # an agent that is alone does not end before its world
             self.alive = torch.as_tensor(self.device.in_episode, device=obs.device).clone()
-        self.acting = self.alive if masks is None else self.alive & (masks != 0).any(1)
+        self.acting = acting(self.alive, masks)
 
     @property
     def config(self) -> BatchConfig:
@@ -113,6 +129,11 @@ class Agents:
         """Go on from what :meth:`state` returned."""
         self._observe(self.device.restore(state))
         self.begins = torch.zeros_like(self.begins)
+
+
+def acting(alive: Tensor, masks: Tensor | None) -> Tensor:
+    """Return which of the agents that take part have something to decide."""
+    return alive if masks is None else alive & (masks != 0).any(-1)
 
 
 TEAM = ("own", "mean", "sum")

@@ -15,10 +15,11 @@ import torch
 from torch import Tensor
 
 from pearl_marl.devices import Device
+from pearl_marl.policies.dense_policy import DenseNetwork
 from pearl_marl.policies.network import MASKED
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.actor_critic import Inputs
-from pearl_marl.training.agents import Agents, team_rewards
+from pearl_marl.training.agents import Agents, acting, team_rewards
 
 CRITIC_ROWS = 16_384
 """Observations that the critic is given at a time, which bounds the memory of its layers."""
@@ -60,6 +61,20 @@ class RolloutBuffer(NamedTuple):
         return cls(Inputs(*tensors[:fields]), *tensors[fields:])
 
 
+class RolloutSteps(NamedTuple):
+    """What agents did and got: a row for each step and a column for each agent."""
+
+    inputs: Inputs  # with a row more, for where the last step led
+    final_obs: Tensor  # of the episodes that ended
+    outputs: Tensor  # of the policy
+    actions: Tensor  # in its own form
+    rewards: Tensor
+    terminations: Tensor
+    truncations: Tensor
+    acting: Tensor  # which agents decide; with a row more
+    alive: Tensor  # which take part; with a row more
+
+
 class RolloutWorker:
     """Gathers with the agents of some blocks, by default all: see ``settings.BlockSettings``.
 
@@ -87,36 +102,17 @@ class RolloutWorker:
     @torch.no_grad()
     def gather(self, rollout: int) -> RolloutBuffer:
         """Step all agents ``rollout_length`` times; return the rollout of that number."""
-        settings, agents, model, steps = self.settings, self.agents, self.model, self.settings.rollout_length
-        noise = self._noise(rollout)
-        # Filled step by step, as the device writes over its results. Inputs have a row more: where the last
-        # step led.
-        inputs = Inputs(*(None if now is None else _rows(steps + 1, now) for now in agents.inputs))  # type: ignore[arg-type]
-        final_obs = _rows(steps, agents.obs)
-        rewards = torch.empty((steps, len(agents.obs)), device=self.where)
-        terminations, truncations = (torch.empty_like(rewards, dtype=torch.bool) for _ in range(2))
-        outputs, actions, acting, alive = [], [], [], []
-        for t in range(steps + 1):
-            for rows, now in zip(inputs, agents.inputs, strict=True):
-                if rows is not None and now is not None:
-                    rows[t] = now
-            acting.append(self.acting())
-            alive.append(agents.alive)
-            if t == steps:
-                break
-            outputs.append(self.decide(agents.inputs, t))
-            chosen, taken = model.draw(outputs[t], noise[t])
-            actions.append(chosen)
-            _, rewards[t], terminations[t], truncations[t], final_obs[t] = agents.step(taken)
-        chosen = torch.stack(actions)
-        log_probs = model.log_probs(torch.stack(outputs), chosen)
+        settings, model, steps = self.settings, self.model, self.settings.rollout_length
+        noise, network = self._noise(rollout), self.beside()
+        done = self._one_by_one(noise) if network is None else self._at_once(network, noise)
+        inputs, final_obs, outputs, chosen, rewards, terminations, truncations, decides, alive = done
+        log_probs = model.log_probs(outputs, chosen)
         ended = over = terminations | truncations
         wanted = team_rewards(rewards, self.spec.agents, settings.rewards) * settings.reward_scale
         if settings.rewards != "own":  # what the others still earn counts until the whole world ends
-            left = ended | ~torch.stack(alive[:-1])
+            left = ended | ~alive[:-1]
             worlds = left.reshape(steps, -1, self.spec.agents).all(2)
             over = worlds.repeat_interleave(self.spec.agents, 1)
-        decides = torch.stack(acting)
         values = self._mixed(self.expected(inputs, decides), inputs.state)
         cut = truncations & ~terminations
         # Only the time limit ended these episodes: what was to come counts. The device tells neither the
@@ -135,6 +131,64 @@ class RolloutWorker:
         inputs = inputs.pick(slice(0, -1))
         return RolloutBuffer(
             inputs, chosen, log_probs, advantages, advantages + values[:-1], mask, rewards, ended
+        )
+
+    def beside(self) -> DenseNetwork | None:
+        """Return what chooses the actions of a whole rollout, if that can be done beside the agents."""
+        return self.agents.beside(self.model.policy)
+
+    def _at_once(self, network: DenseNetwork, noise: Tensor) -> RolloutSteps:
+        """Do all steps in one call of the device."""
+        made = self.agents.experience(network, noise)
+        masks = None if made.action_masks is None else torch.from_numpy(made.action_masks)
+        position, alive = self.agents.position, torch.from_numpy(made.in_episode)
+        if position is not None:
+            position = position.expand(len(alive), -1)
+        words = torch.from_numpy(made.words)
+        return RolloutSteps(
+            inputs=Inputs(torch.from_numpy(made.observations), masks, position),
+            final_obs=torch.from_numpy(made.final_observations),
+            outputs=torch.from_numpy(made.outputs),
+            actions=words if self.model.policy.heads else words[..., 0],
+            rewards=torch.from_numpy(made.rewards),
+            terminations=torch.from_numpy(made.terminations),
+            truncations=torch.from_numpy(made.truncations),
+            acting=acting(alive, masks),
+            alive=alive,
+        )
+
+    def _one_by_one(self, noise: Tensor) -> RolloutSteps:
+        """Do one step after the other."""
+        agents, model, steps = self.agents, self.model, len(noise)
+        # Filled step by step, as the device writes over its results. Inputs have a row more: where the last
+        # step led.
+        inputs = Inputs(*(None if now is None else _rows(steps + 1, now) for now in agents.inputs))  # type: ignore[arg-type]
+        final_obs = _rows(steps, agents.obs)
+        rewards = torch.empty((steps, len(agents.obs)), device=self.where)
+        terminations, truncations = (torch.empty_like(rewards, dtype=torch.bool) for _ in range(2))
+        outputs, actions, decides, alive = [], [], [], []
+        for t in range(steps + 1):
+            for rows, now in zip(inputs, agents.inputs, strict=True):
+                if rows is not None and now is not None:
+                    rows[t] = now
+            decides.append(self.acting())
+            alive.append(agents.alive)
+            if t == steps:
+                break
+            outputs.append(self.decide(agents.inputs, t))
+            chosen, taken = model.draw(outputs[t], noise[t])
+            actions.append(chosen)
+            _, rewards[t], terminations[t], truncations[t], final_obs[t] = agents.step(taken)
+        return RolloutSteps(
+            inputs,
+            final_obs,
+            torch.stack(outputs),
+            torch.stack(actions),
+            rewards,
+            terminations,
+            truncations,
+            torch.stack(decides),
+            torch.stack(alive),
         )
 
     def acting(self) -> Tensor:
@@ -198,10 +252,15 @@ class RolloutWorker:
         """Return what the critic expects where it is wanted, else 0; a row a step and a column an agent."""
         values = torch.zeros(wanted.shape, device=self.where)
         for block in self.blocks:
+            if wanted[:, block].all():  # no need to look for their rows, and to copy them
+                rows = inputs.pick((slice(None), block)).flat()
+                parts = [rows.pick(slice(k, k + CRITIC_ROWS)) for k in range(0, len(rows.obs), CRITIC_ROWS)]
+                found = torch.cat([self.model.values(part) for part in parts])
+                values[:, block] = found.view(len(wanted), -1)
+                continue
             steps, columns = wanted[:, block].nonzero(as_tuple=True)
-            rows = steps, columns + block.start
             for k in range(0, len(steps), CRITIC_ROWS):
-                some = rows[0][k : k + CRITIC_ROWS], rows[1][k : k + CRITIC_ROWS]
+                some = steps[k : k + CRITIC_ROWS], columns[k : k + CRITIC_ROWS] + block.start
                 values[some] = self.model.values(inputs.pick(some))
         return values
 

@@ -63,6 +63,9 @@ class LeagueWorker(RolloutWorker):
         self.random_moves = draws < settings.random_moves
         return super().gather(rollout)
 
+    def beside(self) -> None:
+        """Return None: there are several policies."""
+
     def acting(self) -> Tensor:
         """Return which agents' next decisions are learned from: the learner's."""
         return self.agents.acting & (self.players == 0)

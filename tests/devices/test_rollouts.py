@@ -224,7 +224,7 @@ def test_order() -> None:
 def test_an_interrupt_between_parts_undoes_the_rollout() -> None:
     device = opened(Native(), "CartPole", 3)
     before = device.snapshot().to_bytes()
-    parts, run = [], device._run_rollout  # type: ignore[attr-defined]
+    parts, run = [], device._run_part  # type: ignore[attr-defined]
 
     def interrupted(*arguments: Any) -> None:
         parts.append(arguments)
@@ -232,7 +232,7 @@ def test_an_interrupt_between_parts_undoes_the_rollout() -> None:
         if len(parts) == 2:
             signal.raise_signal(signal.SIGINT)
 
-    with mock.patch.object(device, "_run_rollout", interrupted), pytest.raises(KeyboardInterrupt):
+    with mock.patch.object(device, "_run_part", interrupted), pytest.raises(KeyboardInterrupt):
         device.rollout(policy_for("CartPole"), 1000)
     assert device.snapshot().to_bytes() == before
     device.step([0, 0, 0])

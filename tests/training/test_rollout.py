@@ -8,8 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pearl_marl.devices import Native
+
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 rollout = importlib.import_module("pearl_marl.training.rollout")
+agents = importlib.import_module("pearl_marl.training.agents")
+run = importlib.import_module("pearl_marl.training.run")
 
 STEPS, N = 60, 40
 DISCOUNT, GAE_LAMBDA = 0.9, 0.7
@@ -71,3 +75,65 @@ def test_who_acts_in_every_step_is_computed_faster_to_the_same() -> None:
     slow, _ = rollout.estimated_advantages(given._replace(acting=one_waits), DISCOUNT, GAE_LAMBDA)
     assert everything.all()
     torch.testing.assert_close(slow[:, 1:], fast[:, 1:])
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "name", "changes"),
+    [
+        ("ppo", "CartPole", {"blocks": 3}),
+        ("pqn", "MountainCar", {"epsilon": 0.3}),
+        ("ppo", "Taxi", {}),
+        ("ppo", "Blackjack", {}),
+        ("pqn", "SimpleTag", {"sharing": "indicator"}),
+        ("ppo", "LevelBasedForaging", {"sharing": "indicator", "rewards": "sum"}),
+        ("pqn", "LevelBasedForaging", {}),
+        ("ppo", "Inventory", {}),
+        ("ppo", "Elevators", {}),
+    ],
+)
+def test_steps_beside_the_environments_are_those_one_by_one(
+    algorithm: str, name: str, changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With vectors and numbers, masks, agents that end before their world, fields, and time limits."""
+    settings = run.settings_for(algorithm, name, {"n_agents": 60, "rollout_length": 210, **changes})
+    calls: list[object] = []
+    experience = Native.experience
+    monkeypatch.setattr(Native, "experience", lambda *given: calls.append(given) or experience(*given))
+    gathered, states = [], []
+    for possible in (True, False):
+        if not possible:
+            monkeypatch.setattr(agents.Agents, "beside", lambda *_: None)
+        worker = run.Training(name, algorithm, settings).trainer(None).worker
+        gathered.append([worker.gather(k) for k in range(2)])
+        states.append(worker.agents)
+    assert len(calls) == 2, "one call a rollout, and none where it is not possible"
+    for beside, alone in zip(*gathered, strict=True):
+        assert beside.ended.any()
+        for expected, found in zip(alone.tensors(), beside.tensors(), strict=True):
+            assert (expected is None) == (found is None)
+            if expected is not None:
+                assert expected.dtype == found.dtype
+                torch.testing.assert_close(found, expected, rtol=0, atol=0)
+    beside, alone = states
+    assert (beside.inputs.masks is None) == (name != "LevelBasedForaging")
+    assert beside.state().to_bytes() == alone.state().to_bytes()
+    for attribute in ("obs", "alive", "acting", "begins"):
+        assert torch.equal(getattr(beside, attribute), getattr(alone, attribute))
+
+
+def test_a_failed_rollout_leaves_the_agents_where_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = run.settings_for("ppo", "CartPole", {"n_agents": 8, "rollout_length": 50})
+    worker = run.Training("CartPole", "ppo", settings).trainer(None).worker
+    before = worker.agents.state().to_bytes()
+    reset, calls = Native._reset, []
+
+    def failing(*given: Any) -> Any:
+        calls.append(given)
+        if len(calls) == 1:  # the steps are done by then
+            raise MemoryError
+        return reset(*given)
+
+    monkeypatch.setattr(Native, "_reset", failing)
+    with pytest.raises(MemoryError):
+        worker.gather(0)
+    assert worker.agents.state().to_bytes() == before
