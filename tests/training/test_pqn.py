@@ -40,7 +40,7 @@ def test_targets_are_lambda_returns(memory: str) -> None:
         steps.append([tensor.clone() for tensor in result])
         return result
 
-    agents.step = noted
+    agents.step, agents.beside = noted, lambda *_: None
     gathered = trainer.worker.gather(2)
     policy = trainer.policy
 
@@ -84,7 +84,8 @@ def test_steps_to_a_time_limit_are_left_out_where_there_are_masks(memory: str) -
         cuts.append(result.truncations & ~result.terminations)
         return result
 
-    trainer.worker.agents.step = noted
+    agents = trainer.worker.agents
+    agents.step, agents.beside = noted, lambda *_: None
     gathered = trainer.worker.gather(0)
     cut = torch.stack(cuts)
     assert cut.any()
