@@ -109,10 +109,16 @@ def in_memory(fields: Any) -> Array:
     kind, own = type_of(of_fields), _typeof(fields)
     if own != kind:
         raise TypeError(f"the fields are of the type {own}; it must be {kind}")
-    context = cpu_target.target_context
-    memory = np.zeros(-(-context.get_abi_sizeof(context.get_value_type(kind)) // 8), np.int64)
+    memory = np.zeros(_words_of(kind), np.int64)
     _compiled_put()(fields, memory.ctypes.data)
     return memory
+
+
+@functools.cache
+def _words_of(kind: Any) -> int:
+    """Return how many words of 64 bits a value of a type of Numba's takes."""
+    context = cpu_target.target_context
+    return -(-int(context.get_abi_sizeof(context.get_value_type(kind))) // 8)
 
 
 def fields_at(kind: type) -> Any:
