@@ -27,11 +27,11 @@ demo: $(VENV)/.render
 	$(BIN)/python experiments/cliff_walking_q_learning.py --out $(OUT)/demo
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -n $$(($(CORES) + 1)) --dist loadgroup --slow
+	$(BIN)/python -m pytest -n $(CORES) --dist loadgroup --slow
 
 # The same with what repeats it at more sizes or for longer, and every proof.
 test-exhaustive: $(VENV)/.dev
-	$(BIN)/python -m pytest -n $$(($(CORES) + 1)) --dist loadgroup --slow --exhaustive
+	$(BIN)/python -m pytest -n $(CORES) --dist loadgroup --slow --exhaustive
 
 # RLlib pins Gymnasium 1.2.2, so it has an environment of its own, and the Gymnasium interface is tested there too.
 test-rllib: $(RLLIB)/.rllib

@@ -19,6 +19,7 @@ from pearl_marl.benchmark.measure import Contender, Game, UnavailableError, meas
 from pearl_marl.cli import bench
 from pearl_marl.envs import names
 
+from ..sampling import sampled
 from ..toy_world import MEADOW
 
 Pearl = Callable[..., tuple[int, str, str]]
@@ -54,7 +55,7 @@ def test_processes_of_a_peer_end_with_the_measurement() -> None:
     assert not any(process.is_alive() for process in made[0].envs.processes)
 
 
-@pytest.mark.parametrize("name", PACKAGE)
+@pytest.mark.parametrize("name", sampled(PACKAGE, ("ConnectFour", "LevelBasedForaging")))
 def test_games_beside_envpool_and_their_package(pearl: Pearl, name: str) -> None:
     pytest.importorskip("envpool")
     pytest.importorskip("lbforaging")

@@ -369,7 +369,7 @@ def test_the_new_package_passes_the_contract(installed: Installed) -> None:
     assert "rtl is bit-exact with reference over 5,600 agent-steps" in out
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive  # the walk of docs/new_environment.md does so with an environment of one agent
 def test_a_new_world_passes_the_contract_and_types_are_right(installed: Installed) -> None:
     folder = installed.project.parent / "worlds"
     status, out = installed.run("pearl", "new", "TwoHalls", "--agents", "3", "--out", str(folder))

@@ -431,7 +431,7 @@ def test_what_is_written_is_formatted(pearl: Any, tmp_path: Path) -> None:
         assert done.returncode == 0, done.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive  # tests/rtl/test_cores.py has cores of all kinds of functions
 def test_made_of_an_original_hardware_is_exact(pearl: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     made(pearl, monkeypatch, "Ice", "FrozenLake-v1")
     status, out, err = pearl("verify", "ice:Ice", "--device", "rtl", "--steps", 20, "--n-agents", 70)

@@ -96,9 +96,8 @@ CASES = [
     ("CartPole", NETWORK, [8, 6], {"n_envs": 37}, 64),
     ("CartPole", NETWORK, [8, 6], {"n_envs": 37, "max_cycles": 0}, 64),
     ("CliffWalking", TABLE, None, {"n_envs": 7, "max_cycles": 13, "first_slot": 5}, 32),
-    # Planes, which the host unpacks for others; with masks, and two agents.
+    # Planes, which the host unpacks for others.
     ("Breakout", PLANES, [8], {"n_envs": 19, "max_cycles": 15}, 64),
-    ("ConnectFour", PLANES._replace(products=3), [8, 5], {"n_envs": 7, "autoreset_mode": NEXT}, 64),
     # Agents that end one by one.
     ("Meadow", NETWORK, [8], {"n_envs": 7, "max_cycles": 20, "autoreset_mode": NEXT}, 32),
     *(
@@ -110,6 +109,7 @@ CASES = [
             ("Meadow", NETWORK, [8], {"n_envs": 7}, 32),
             # Masks, and rewards that are no whole numbers.
             ("LevelBasedForaging", NETWORK, [8], {"n_envs": 7, "max_cycles": 20}, 32),
+            ("ConnectFour", PLANES._replace(products=3), [8, 5], {"n_envs": 7, "autoreset_mode": NEXT}, 64),
             (
                 "LevelBasedForaging",
                 NETWORK,

@@ -202,6 +202,7 @@ def test_a_step_takes_its_bound_and_the_latency(env: str) -> None:
     case.close()
 
 
+@pytest.mark.exhaustive  # compiled without what spares it: twelve seconds
 def test_trace_writes_waveforms_and_keeps_every_signal(tmp_path: Path) -> None:
     path = tmp_path / "waves.vcd"
     device = opened(Rtl(4, 32, trace=path))

@@ -12,6 +12,8 @@ import pytest
 
 from pearl_marl.hardware import toolchain
 
+from .. import sampling
+
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("envs/*/README.md")])
 
@@ -71,7 +73,7 @@ def test_walks_lead_to_the_end(page, tmp_path):
             folder /= arguments[0]
         elif program == "pip":  # the folder on the path does as well
             assert arguments == ["install", "-e", ".[test]"]
-        else:
+        elif text not in LONG or sampling.exhaustive:
             done = subprocess.run(
                 [Path(sys.executable).with_name(program), *arguments],
                 cwd=folder,
@@ -176,6 +178,9 @@ def test_sessions_run(page, block, tmp_path, pearl, monkeypatch):
 
 
 LONG = (
+    # Yosys is WebAssembly, which takes a minute to compile before it first runs.
+    "pearl synth packet_arbiter:PacketArbiter --n-envs 256 --pe-num 1 --data-wl 64",
+    "pearl synth CliffWalking --n-envs 16 --pe-num 4 --data-wl 32",
     "pearl bench steps --all --n-agents 1024 --rounds 1 --seconds 0.01",  # each environment as one is, below
     "pearl bench steps CliffWalking --n-agents 1024 --rounds 1 --seconds 0.01",  # its own tests do so
     "pearl synth CliffWalking --n-envs 16 --pe-num 4 --data-wl 32 --option is_slippery=true "
@@ -189,7 +194,7 @@ LONG = (
     "python -m pearl_marl.experiments.sb3_training CartPole --algo ppo --n-agents 256 --steps 20000 "
     "--every 8192 --source envpool",
 )
-"""Commands that repeat others; `make test-exhaustive` has them, too."""
+"""Commands that repeat others, or take long; `make test-exhaustive` has them, too."""
 
 COMMANDS = [
     pytest.param(page, command, output, marks=pytest.mark.exhaustive if command in LONG else (), id=command)

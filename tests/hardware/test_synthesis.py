@@ -201,6 +201,7 @@ def test_a_memory_that_is_not_block_ram_is_named(monkeypatch: pytest.MonkeyPatch
     assert "Not block RAM:" in result.stderr
 
 
+@pytest.mark.exhaustive
 @needs_yosys
 def test_what_yosys_refuses_is_a_device_error(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
     files = elaboration.sources(SPEC)

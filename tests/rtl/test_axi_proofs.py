@@ -10,6 +10,9 @@ from test_proofs import FORMAL, Fault, broken, check
 
 from pearl_marl.hardware import elaboration, toolchain
 
+# Yosys is WebAssembly, which takes a minute to compile before it first runs.
+pytestmark = pytest.mark.exhaustive
+
 NAMES = ("fifo", "slice", *(f"axi_{name}" for name in ("address", "answers", "read", "write", "slave")))
 BACKBONE = {path.stem.removeprefix("pearl_"): path for path in elaboration.backbone_paths()}
 SLAVE = [BACKBONE[name] for name in ("pkg", *NAMES)]
@@ -30,7 +33,6 @@ def check_slave(folder: Path, fault: Fault | None, *only: str) -> str:
     return check(folder, "axi_proof", files, [], fault, depths=DEPTHS, prepared=prepared)
 
 
-@pytest.mark.exhaustive  # a minute of the solver; what each property refuses is below
 def test_slave_does_as_axi_demands(tmp_path: Path) -> None:
     report = check_slave(tmp_path, None)
     assert "DONE (PASS" in report, report

@@ -59,17 +59,18 @@ def test_lint_is_clean(name: str, env: str, size: tuple[int, int | None], tmp_pa
 SIZE = (33, 4)
 
 
-def run_ulx3s(bench: str, folder: Path, **arguments: Any) -> None:
+def run_ulx3s(bench: str, folder: Path, clocks_per_bit: int = CLOCKS_PER_BIT, **arguments: Any) -> None:
     build = boards.board_build(ULX3S, SPEC, *SIZE)
-    parameters = {"CLOCKS_PER_BIT": CLOCKS_PER_BIT}
+    parameters = {"CLOCKS_PER_BIT": clocks_per_bit}
     design = Design(ULX3S.top, tuple(simulated(ULX3S, build, folder)), parameters)
     size = [*SIZE, build.layout.data_wl]
-    arguments |= {"env": SPEC.name, "size": size, "clocks_per_bit": CLOCKS_PER_BIT}
+    arguments |= {"env": SPEC.name, "size": size, "clocks_per_bit": clocks_per_bit}
     run(checked(design), bench, folder, **arguments)
 
 
-def test_the_ulx3s_at_its_serial_line(tmp_path: Path) -> None:
-    run_ulx3s("bench_ulx3s", tmp_path)
+@pytest.mark.parametrize("clocks_per_bit", [4, pytest.param(8, marks=pytest.mark.exhaustive)])
+def test_the_ulx3s_at_its_serial_line(clocks_per_bit: int, tmp_path: Path) -> None:
+    run_ulx3s("bench_ulx3s", tmp_path, clocks_per_bit)
 
 
 @pytest.fixture
@@ -143,6 +144,10 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+# Yosys is WebAssembly, which takes a minute to compile before it first runs.
+by_yosys = pytest.mark.exhaustive
+
+
 def elaborated(folder: Path, *options: str) -> dict[str, Any]:
     """What Yosys makes of the top, from the files and in the order that the folder lists."""
     files = [*(folder / boards.SOURCES).read_text().split(), CORES.name]
@@ -159,6 +164,7 @@ def flat(exported: Path) -> dict[str, Any]:
     return elaborated(exported)
 
 
+@by_yosys
 def test_the_vc707_elaborates(flat: dict[str, Any]) -> None:
     types = [cell["type"] for cell in flat["cells"].values() if not cell["type"].startswith("$")]
     assert sorted(types) == ["BUFG", "IBUF", "IBUFDS_GTE2", "PLLE2_BASE", "pearl_upsizer", "pearl_xdma"]
@@ -175,17 +181,20 @@ def registers(design: dict[str, Any], types: tuple[str, ...], port: str) -> set[
     return {bit for cell in cells for bit in cell["connections"][port]}
 
 
+@by_yosys
 def test_no_register_changes_beside_its_clock(flat: dict[str, Any]) -> None:
     """But for the synchroniser of the reset: what addresses a block RAM could cost it a word."""
     synchroniser = set(flat["netnames"]["u_reset.ready_q"]["bits"])
     assert registers(flat, ASYNCHRONOUS, "Q") == synchroniser
 
 
+@by_yosys
 def test_the_interrupt_crosses_from_a_register(flat: dict[str, Any]) -> None:
     """What logic makes of several may be wrong for a moment, and the other clock would take it."""
     assert set(flat["netnames"]["irq"]["bits"]) <= registers(flat, SYNCHRONOUS, "Q")
 
 
+@by_yosys
 def test_the_vc707_is_wired_as_it_should(exported: Path) -> None:
     """Every signal of a bus is wired to that of its name, from XDMA through the upsizer to the design."""
     top = elaborated(exported, "--keep-hierarchy")
@@ -222,6 +231,7 @@ def test_the_vc707_is_wired_as_it_should(exported: Path) -> None:
     assert irq["clk_i"] == xdma["axi_aclk"]
 
 
+@by_yosys
 def test_the_vc707s_constraints_are_of_its_ports(exported: Path, flat: dict[str, Any]) -> None:
     text = (exported / "vc707.xdc").read_text()
     configured = dict(re.findall(r"set_property (\w+) (\S+) \[current_design\]", text))

@@ -12,6 +12,9 @@ from pearl_marl.hardware import elaboration
 
 NAMES = ("pearl_pkg", "pearl_delay", "pearl_port", "pearl_registers", "pearl_sequencer")
 CONTROL = [path for path in elaboration.backbone_paths() if path.stem in NAMES]
+# Yosys is WebAssembly, which takes a minute to compile before it first runs.
+pytestmark = pytest.mark.exhaustive
+
 # Of induction, and within how many cycles a fault has to show.
 DEPTHS = (6, 20)
 
