@@ -107,15 +107,14 @@ def check_packer(folder: Path, row: int, word: int, rows: int, words: int, fault
 @pytest.mark.parametrize(
     ("row", "word", "rows", "words"),
     [
-        pytest.param(6, 4, 4, 6, marks=pytest.mark.exhaustive),  # sharing a factor
-        pytest.param(6, 4, 4, 5, marks=pytest.mark.exhaustive),  # the same, and the last row ends in padding
+        (6, 4, 4, 6),  # sharing a factor
+        (6, 4, 4, 5),  # the same, and the last row ends in padding
         (3, 8, 7, 3),  # sharing none, and ending in padding
-        pytest.param(8, 4, 3, 6, marks=pytest.mark.exhaustive),  # a row is many words
+        (8, 4, 3, 6),  # a row is many words
         (2, 8, 9, 3),  # a word is many rows
-        *(
-            pytest.param(*sizes, marks=pytest.mark.exhaustive)
-            for sizes in ((4, 4, 3, 3), (5, 4, 1, 2), (1, 2, 1, 1))
-        ),
+        (4, 4, 3, 3),
+        (5, 4, 1, 2),
+        (1, 2, 1, 1),
     ],
 )
 def test_packer_loses_doubles_and_moves_nothing(
@@ -250,23 +249,13 @@ BACKBONES = {
         3, 2, 2, 6, 12, 6, draws=0, latency=1, interval=1, pipelined=True, step_cycles=18, slot=2, agents=3
     ),
 }
-ALWAYS_PROVED = "less"
-"""The others are with --exhaustive."""
 SAMPLE = "last"
 """What faults are put into."""
 
 
-def only_if_every(name: str, sample: Sequence[str], request: pytest.FixtureRequest) -> None:
-    if name not in sample and not request.config.getoption("--exhaustive"):
-        pytest.skip("one of many proofs: run make test-exhaustive")
-
-
-@pytest.mark.parametrize(
-    "what", ["PROVE_RESET", "PROVE_IDLE", pytest.param("PROVE_STEP", marks=pytest.mark.exhaustive)]
-)
+@pytest.mark.parametrize("what", ["PROVE_RESET", "PROVE_IDLE", "PROVE_STEP"])
 @pytest.mark.parametrize("name", BACKBONES)
-def test_backbone(what: str, name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    only_if_every(name, [ALWAYS_PROVED], request)
+def test_backbone(what: str, name: str, tmp_path: Path) -> None:
     report = check_backbone(tmp_path, what, BACKBONES[name])
     assert "DONE (PASS" in report, report
 
@@ -339,12 +328,10 @@ SHOWN_BY = {
     "world over with one": "world",
 }
 """The backbone that a fault shows in, if it is not :data:`SAMPLE`."""
-ALWAYS = ["drained too short", "region's end"]
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_broken_backbone_is_refuted(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    only_if_every(name, ALWAYS, request)
+def test_broken_backbone_is_refuted(name: str, tmp_path: Path) -> None:
     what, fault = FAULTS[name]
     around = BACKBONES[SHOWN_BY.get(name, SAMPLE)]
     report = check_backbone(tmp_path, what, around, fault)
