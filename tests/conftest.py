@@ -58,9 +58,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if HAS_HYPOTHESIS:  # before tests are imported, whose settings begin with the profile's
         settings.load_profile("exhaustive" if sampling.exhaustive else "tests")
     config.addinivalue_line("markers", "slow: takes seconds or gigabytes; runs where --slow is given")
-    exhaustive = (
-        "exhaustive: at more sizes, or for longer, what another test shows; runs where --exhaustive is given"
-    )
+    exhaustive = "exhaustive: at more sizes, for longer or by Yosys; runs where --exhaustive is given"
     config.addinivalue_line("markers", exhaustive)
     config.addinivalue_line("markers", "gpu: needs an NVIDIA GPU; skipped, and said so, where there is none")
     config.addinivalue_line("markers", "simulatable: the same, but runs where --simulated-gpu is given too")

@@ -89,14 +89,13 @@ class Rollout:
 
 
 class Experience(NamedTuple):
-    """Every step of a rollout, as learners take it: of shape ``(steps, n_agents, ...)``.
+    """Every step of a rollout, as learners take it: of shape ``(steps, n_agents, ...)``."""
 
-    What agents observe has a row more, for where the last step led.
-    """
-
+    # Before each step; with a row more, for where the last one led.
     observations: Array
     action_masks: Array | None
-    in_episode: Array  # bool: which agents took part in the step
+    in_episode: Array  # bool: which agents take part
+    # Of each step.
     words: Array  # int64, one for each field of an action
     outputs: Array  # float32: the network's, without noise
     rewards: Array

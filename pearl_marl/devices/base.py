@@ -13,7 +13,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import enum
 import secrets
 import time
@@ -121,9 +120,6 @@ class Device(ABC):
 
     has_engine = False
     """Whether it has a policy engine: then a rollout is one call of the hardware, and sums come back."""
-
-    runs_networks = False
-    """Whether it can run a network of floats beside its environments: see :meth:`experience`."""
 
     recovery_type: type[CheckpointLog] | None = None
     """What keeps them; ``None`` where nothing can fail under way."""
@@ -387,29 +383,45 @@ class Device(ABC):
             self._remember(observed)
             return result
 
+    @property
+    def runs_networks(self) -> bool:
+        """Whether it can run a network of floats beside its environments: see :meth:`experience`."""
+        return False
+
     def experience(self, network: DenseNetwork, noise: Array) -> Experience:
         """Do a rollout for a learner, on a device that ``runs_networks``; see :meth:`rollout`.
 
-        Its actions are those of the greatest outputs of a network, with noise added.
+        Its actions are those of the greatest outputs of a network, with noise added. Slots that end start
+        again in the same step.
 
         Parameters
         ----------
         network
             One for this environment, whose observations take no ``unpack``.
         noise
-            ``float32`` of shape ``(steps, n_agents, outputs)``.
+            ``float32`` of shape ``(steps, n_agents, outputs)``, in C order.
+
+        Raises
+        ------
+        ArgumentError
+            The device runs no networks, the network is for another environment, or the noise is not as above.
+        OrderError
+            As :meth:`step` does.
         """
         self.check_idle("experience", ready=True)
+        if not self.runs_networks:
+            raise ArgumentError(f"the {self.name} device runs no networks of floats; native does")
+        rollouts.check_experience(self.config, network, noise)
         with self._undone_if_it_fails():
             record, observed = self._experience(network, noise)
-        last = self._remember(observed)
-        return record.experience(self.config, observed._replace(obs=last))
+            last = self._remember(observed)
+            return record.experience(self.config, observed._replace(obs=last))
 
     def _experience(self, network: DenseNetwork, noise: Array) -> tuple[rollouts.Record, Observed]:
         """Do the steps; return what was recorded, and what is observed last."""
         raise NotImplementedError
 
-    @contextlib.contextmanager
+    @contextmanager
     def _undone_if_it_fails(self) -> Iterator[None]:
         """Put slots, seed and tick back where they were if what is done meanwhile fails."""
         saved = self.snapshot()

@@ -30,13 +30,7 @@ from pearl_marl.devices.native_rollout import (
     compiled_policy,
     compiled_rollout,
 )
-from pearl_marl.devices.rollouts import (
-    Record,
-    Sums,
-    element_dtype,
-    in_parts,
-    recorded_form,
-)
+from pearl_marl.devices.rollouts import Record, Sums, element_dtype, in_parts, recorded_form
 from pearl_marl.devices.threads import ThreadCount, Threads, cores
 from pearl_marl.errors import ActionError
 from pearl_marl.golden import rng
@@ -61,7 +55,6 @@ class Native(Device):
     """
 
     name = "native"
-    runs_networks = True
 
     def __init__(self, threads: int | None = None) -> None:
         threads = checked_count_or_none("threads", threads)
@@ -215,6 +208,11 @@ class Native(Device):
         kept = Record.of(config, steps if record else 0, policy.logits)
         sums, observed = self._compiled_rollout(policy, compiled, steps, kept, episodes)
         return sums.result(steps, kept.arrays(config) if record else {}), observed
+
+    @property
+    def runs_networks(self) -> bool:
+        """See :class:`Device`; a class that does more in a step does it in single ones only."""
+        return type(self)._step is Native._step
 
     def _experience(self, network: DenseNetwork, noise: Array) -> tuple[Record, Observed]:
         compiled = compiled_policy(network, element_dtype(network.form(self.config.spec)))

@@ -118,9 +118,11 @@ class Record(NamedTuple):
     rewards: Array  # (steps, n_agents) float32
     terminations: Array  # (steps, n_agents) uint8
     truncations: Array  # (steps, n_agents) uint8
-    logits: Array  # (steps, n_agents, outputs) int32; of no outputs without logits
+    logits: (
+        Array  # (steps, n_agents, outputs) int32; of no outputs without logits; a learner's are floats' bits
+    )
     # For learners; else of no agents.
-    noise: Array  # (steps, n_agents, outputs) uint32: what the policy is given for draws
+    noise: Array  # (steps, n_agents, outputs) uint32: bits of floats, which the policy is given for draws
     present: Array  # (steps, n_agents) uint8: which agents take part
     final: Array  # as observations: what agents saw last, where the time limit ended their episodes
 
@@ -168,7 +170,9 @@ class Record(NamedTuple):
     def experience(self, config: BatchConfig, last: Observed) -> Experience:
         """Return the steps as a learner takes them, and what was observed ``last``."""
         made, alive = self.arrays(config), self.present.view(np.bool_)
-        masks = made["action_masks"]
+        masks, cut = made["action_masks"], made["truncations"]
+        final = np.zeros_like(made["observations"])
+        final[cut] = observations_of(config.spec, self.final[cut])
         if last.action_masks is not None:
             masks = np.concatenate([masks, last.action_masks[None]])
         return Experience(
@@ -180,7 +184,7 @@ class Record(NamedTuple):
             rewards=made["rewards"],
             terminations=made["terminations"],
             truncations=made["truncations"],
-            final_observations=observations_of(config.spec, self.final),
+            final_observations=final,
         )
 
 
@@ -214,6 +218,24 @@ def chosen(
     return policy.choose(observed.obs, rows, observed.action_masks, draws)
 
 
+def check_experience(config: BatchConfig, network: DevicePolicy, noise: Any) -> None:
+    """Refuse what compiled loops would not look at: another environment's network, or noise of another form."""
+    spec, outputs = config.spec, sum(config.spec.action_counts)
+    _check_spaces(spec, network)
+    if spec.unpack is not None:
+        raise ArgumentError(
+            f"{spec.name} unpacks its observations; experience() takes environments that do not"
+        )
+    if config.autoreset_mode is not AutoresetMode.SAME_STEP:
+        raise ArgumentError(f"autoreset_mode is {config.autoreset_mode}; experience() takes SAME_STEP")
+    shape = (len(noise), config.n_agents, outputs)
+    if not len(noise) or noise.shape != shape or noise.dtype != np.float32 or not noise.flags.c_contiguous:
+        raise ArgumentError(
+            f"noise is {noise.dtype} of shape {noise.shape}; it must be float32 of shape (steps, "
+            f"{config.n_agents}, {outputs}), of at least a step, in C order"
+        )
+
+
 def check(config: BatchConfig, policy: object, steps: Any, record: object, episodes: object) -> None:
     """Refuse what is no policy for an environment, or no number of steps."""
     spec = config.spec
@@ -222,6 +244,18 @@ def check(config: BatchConfig, policy: object, steps: Any, record: object, episo
             f"policy is {policy!r}; a rollout takes a policy in integers, as pearl_marl.load_policy returns, "
             "or a rule of your own, a GoldenPolicy"
         )
+    _check_spaces(spec, policy)
+    checked_integer("steps", steps)
+    checked_count_or_none("episodes", episodes)
+    checked_flag("record", record)
+    if record:
+        seen = recorded_form(spec)
+        each = 2 * seen.observation_size * element_dtype(seen).itemsize + len(spec.mask_fields)
+        check_memory(config, int(steps) * (each + 16 * len(spec.action_fields) + 6 + 4 * policy.logits))
+
+
+def _check_spaces(spec: EnvSpec, policy: DevicePolicy) -> None:
+    """Refuse a policy for another environment."""
     for what, theirs, own in (
         ("observation_space", policy.spec.observation_space, spec.observation_space),
         ("action_space", policy.spec.action_space, spec.action_space),
@@ -231,13 +265,6 @@ def check(config: BatchConfig, policy: object, steps: Any, record: object, episo
             raise ArgumentError(
                 f"the policy is for {policy.spec.name} with the {what} {theirs}; here it is {own}"
             )
-    checked_integer("steps", steps)
-    checked_count_or_none("episodes", episodes)
-    checked_flag("record", record)
-    if record:
-        seen = recorded_form(spec)
-        each = 2 * seen.observation_size * element_dtype(seen).itemsize + len(spec.mask_fields)
-        check_memory(config, int(steps) * (each + 16 * len(spec.action_fields) + 6 + 4 * policy.logits))
 
 
 def recorded_form(spec: EnvSpec) -> EnvSpec:

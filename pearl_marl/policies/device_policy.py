@@ -40,7 +40,8 @@ class CompiledPolicy(NamedTuple):
     ``elements`` are the bytes of the elements of ``n`` agents of whole worlds; ``masks``, ``int8`` of shape
     ``(n, n_actions)`` or of no rows; ``draws``, ``uint32`` of shape ``(n, draws)``. It writes the words of
     actions to ``words``, ``int64`` of shape ``(n, fields)``, and logits to ``logits``, ``int32`` of shape
-    ``(n, outputs)`` or of no rows.
+    ``(n, outputs)`` or of no rows. For a learner, draws are the bits of noise to be added to outputs, and
+    logits those of the outputs, both ``float32``.
     """
     memory: Array
     """What ``act`` works on; ``at`` is its address."""

@@ -90,7 +90,7 @@ class Agents:
         self.begins = step.ended | ~alive
         return step
 
-    def beside(self, policy: NetworkPolicy) -> DenseNetwork | None:
+    def network_beside(self, policy: NetworkPolicy) -> DenseNetwork | None:
         """Return what chooses actions beside these agents, if that can be: a network for the CPU."""
         asked_otherwise = self.spec.turns or self.central or self.spec.unpack is not None
         return policy.dense if self.device.runs_networks and not asked_otherwise else None
@@ -98,7 +98,7 @@ class Agents:
     def experience(self, network: DenseNetwork, noise: Tensor) -> Experience:
         """Step every agent by a network with noise, as often as that has rows; return all steps."""
         steps = self.device.experience(network, noise.numpy())
-        self._observe(steps.observations[-1])
+        self._observe(steps.observations[-1].copy())  # a view would keep all of them
         over = steps.terminations[-1] | steps.truncations[-1] | ~steps.in_episode[-2]
         self.begins = torch.from_numpy(over)
         return steps

@@ -103,7 +103,7 @@ class RolloutWorker:
     def gather(self, rollout: int) -> RolloutBuffer:
         """Step all agents ``rollout_length`` times; return the rollout of that number."""
         settings, model, steps = self.settings, self.model, self.settings.rollout_length
-        noise, network = self._noise(rollout), self.beside()
+        noise, network = self._noise(rollout), self.network_beside()
         done = self._one_by_one(noise) if network is None else self._at_once(network, noise)
         inputs, final_obs, outputs, chosen, rewards, terminations, truncations, decides, alive = done
         log_probs = model.log_probs(outputs, chosen)
@@ -133,9 +133,12 @@ class RolloutWorker:
             inputs, chosen, log_probs, advantages, advantages + values[:-1], mask, rewards, ended
         )
 
-    def beside(self) -> DenseNetwork | None:
-        """Return what chooses the actions of a whole rollout, if that can be done beside the agents."""
-        return self.agents.beside(self.model.policy)
+    def network_beside(self) -> DenseNetwork | None:
+        """Return what chooses the actions of a whole rollout, if that can be done beside the agents.
+
+        It is None where :meth:`decide`, :meth:`acting` or the model's ``draw`` is of another kind.
+        """
+        return self.agents.network_beside(self.model.policy)
 
     def _at_once(self, network: DenseNetwork, noise: Tensor) -> RolloutSteps:
         """Do all steps in one call of the device."""
@@ -250,14 +253,12 @@ class RolloutWorker:
 
     def _values(self, inputs: Inputs, wanted: Tensor) -> Tensor:
         """Return what the critic expects where it is wanted, else 0; a row a step and a column an agent."""
+        if len(self.blocks) == 1 and wanted.all():  # no need to look for rows, and to copy them
+            rows = inputs.flat()
+            parts = [rows.pick(slice(k, k + CRITIC_ROWS)) for k in range(0, len(rows.obs), CRITIC_ROWS)]
+            return torch.cat([self.model.values(part) for part in parts]).view(wanted.shape)
         values = torch.zeros(wanted.shape, device=self.where)
         for block in self.blocks:
-            if wanted[:, block].all():  # no need to look for their rows, and to copy them
-                rows = inputs.pick((slice(None), block)).flat()
-                parts = [rows.pick(slice(k, k + CRITIC_ROWS)) for k in range(0, len(rows.obs), CRITIC_ROWS)]
-                found = torch.cat([self.model.values(part) for part in parts])
-                values[:, block] = found.view(len(wanted), -1)
-                continue
             steps, columns = wanted[:, block].nonzero(as_tuple=True)
             for k in range(0, len(steps), CRITIC_ROWS):
                 some = steps[k : k + CRITIC_ROWS], columns[k : k + CRITIC_ROWS] + block.start

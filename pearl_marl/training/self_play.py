@@ -63,7 +63,7 @@ class LeagueWorker(RolloutWorker):
         self.random_moves = draws < settings.random_moves
         return super().gather(rollout)
 
-    def beside(self) -> None:
+    def network_beside(self) -> None:
         """Return None: there are several policies."""
 
     def acting(self) -> Tensor:

@@ -37,6 +37,7 @@ def cores(numbers: range, folder: Path) -> list[Variant]:
     return variants
 
 
+@pytest.mark.exhaustive  # Yosys is WebAssembly, which takes a minute to compile before it first runs
 @pytest.mark.parametrize(
     "numbers",
     [

@@ -40,7 +40,7 @@ def test_targets_are_lambda_returns(memory: str) -> None:
         steps.append([tensor.clone() for tensor in result])
         return result
 
-    agents.step, agents.beside = noted, lambda *_: None
+    agents.step, agents.network_beside = noted, lambda *_: None
     gathered = trainer.worker.gather(2)
     policy = trainer.policy
 
@@ -85,7 +85,7 @@ def test_steps_to_a_time_limit_are_left_out_where_there_are_masks(memory: str) -
         return result
 
     agents = trainer.worker.agents
-    agents.step, agents.beside = noted, lambda *_: None
+    agents.step, agents.network_beside = noted, lambda *_: None
     gathered = trainer.worker.gather(0)
     cut = torch.stack(cuts)
     assert cut.any()

@@ -7,14 +7,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.vector import AutoresetMode
 
-from pearl_marl.devices import Native
+from pearl_marl import get_spec
+from pearl_marl.devices import BatchConfig, Native, Reference
+from pearl_marl.devices.rollouts import Record
+from pearl_marl.errors import ArgumentError
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 rollout = importlib.import_module("pearl_marl.training.rollout")
 agents = importlib.import_module("pearl_marl.training.agents")
 run = importlib.import_module("pearl_marl.training.run")
+trained = importlib.import_module("pearl_marl.policies.trained")
 
+NEXT = AutoresetMode.NEXT_STEP
 STEPS, N = 60, 40
 DISCOUNT, GAE_LAMBDA = 0.9, 0.7
 
@@ -81,16 +87,19 @@ def test_who_acts_in_every_step_is_computed_faster_to_the_same() -> None:
     ("algorithm", "name", "changes"),
     [
         ("ppo", "CartPole", {"blocks": 3}),
+        ("ppo", "CartPole", {"n_agents": 2100, "rollout_length": 20}),  # more blocks of the loop, two threads
         ("pqn", "MountainCar", {"epsilon": 0.3}),
         ("ppo", "Taxi", {}),
         ("ppo", "Blackjack", {}),
         ("pqn", "SimpleTag", {"sharing": "indicator"}),
         ("ppo", "LevelBasedForaging", {"sharing": "indicator", "rewards": "sum"}),
-        ("pqn", "LevelBasedForaging", {}),
+        ("pqn", "Meadow", {}),  # whose agents end before their world
+        ("vdn", "Meadow", {}),
         ("ppo", "Inventory", {}),
         ("ppo", "Elevators", {}),
     ],
 )
+@pytest.mark.usefixtures("toys")
 def test_steps_beside_the_environments_are_those_one_by_one(
     algorithm: str, name: str, changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -102,20 +111,22 @@ def test_steps_beside_the_environments_are_those_one_by_one(
     gathered, states = [], []
     for possible in (True, False):
         if not possible:
-            monkeypatch.setattr(agents.Agents, "beside", lambda *_: None)
-        worker = run.Training(name, algorithm, settings).trainer(None).worker
+            monkeypatch.setattr(agents.Agents, "network_beside", lambda *_: None)
+        worker = run.ALGORITHMS[algorithm](get_spec(name), Native(threads=2), settings).worker
         gathered.append([worker.gather(k) for k in range(2)])
         states.append(worker.agents)
     assert len(calls) == 2, "one call a rollout, and none where it is not possible"
     for beside, alone in zip(*gathered, strict=True):
         assert beside.ended.any()
+        assert beside.loss_mask.all() == (name != "Meadow")
         for expected, found in zip(alone.tensors(), beside.tensors(), strict=True):
             assert (expected is None) == (found is None)
             if expected is not None:
                 assert expected.dtype == found.dtype
                 torch.testing.assert_close(found, expected, rtol=0, atol=0)
     beside, alone = states
-    assert (beside.inputs.masks is None) == (name != "LevelBasedForaging")
+    assert (beside.inputs.masks is None) == (name not in ("LevelBasedForaging", "Meadow"))
+    assert beside.obs.untyped_storage().nbytes() == beside.obs.nbytes, "not all rows of the rollout are kept"
     assert beside.state().to_bytes() == alone.state().to_bytes()
     for attribute in ("obs", "alive", "acting", "begins"):
         assert torch.equal(getattr(beside, attribute), getattr(alone, attribute))
@@ -125,15 +136,45 @@ def test_a_failed_rollout_leaves_the_agents_where_they_were(monkeypatch: pytest.
     settings = run.settings_for("ppo", "CartPole", {"n_agents": 8, "rollout_length": 50})
     worker = run.Training("CartPole", "ppo", settings).trainer(None).worker
     before = worker.agents.state().to_bytes()
-    reset, calls = Native._reset, []
 
-    def failing(*given: Any) -> Any:
-        calls.append(given)
-        if len(calls) == 1:  # the steps are done by then
-            raise MemoryError
-        return reset(*given)
+    def failing(*_: Any) -> Any:
+        raise MemoryError
 
-    monkeypatch.setattr(Native, "_reset", failing)
+    monkeypatch.setattr(Record, "experience", failing)  # which is called when the steps are done
     with pytest.raises(MemoryError):
         worker.gather(0)
     assert worker.agents.state().to_bytes() == before
+
+
+class Failing(Native):
+    """A class that does more in a step: rollouts of its trainings have to go through it."""
+
+    def _step(self, actions: Any) -> Any:
+        return super()._step(actions)
+
+
+CARTS = get_spec("CartPole")
+
+
+@pytest.mark.parametrize(
+    ("device", "settings", "network", "noise", "says"),
+    [
+        (Native, {}, "CartPole", np.zeros((3, 8, 2)), "noise is float64 of shape"),
+        (Native, {}, "CartPole", np.zeros((3, 7, 2), np.float32), r"of shape \(steps, 8, 2\)"),
+        (Native, {}, "CartPole", np.zeros((0, 8, 2), np.float32), "of at least a step"),
+        (Native, {}, "CartPole", np.zeros((2, 8, 3), np.float32).T, "in C order"),
+        (Native, {}, "MountainCar", np.zeros((3, 8, 2), np.float32), "the policy is for MountainCar"),
+        (Native, {"autoreset_mode": NEXT}, "CartPole", np.zeros((3, 8, 2), np.float32), "takes SAME_STEP"),
+        (Reference, {}, "CartPole", np.zeros((3, 8, 2), np.float32), "the reference device runs no networks"),
+        (Failing, {}, "CartPole", np.zeros((3, 8, 2), np.float32), "runs no networks"),
+    ],
+)
+def test_refused_experience(device: Any, settings: Any, network: str, noise: Any, says: str) -> None:
+    """Before the device has moved: compiled loops would read what lies beside an array."""
+    opened = device().open(BatchConfig(spec=CARTS, n_envs=8, **settings))
+    opened.reset(seed=0)
+    before = opened.snapshot().to_bytes()
+    chosen_by = trained.NetworkPolicy(get_spec(network), "logits", 16).dense
+    with pytest.raises(ArgumentError, match=says):
+        opened.experience(chosen_by, noise)
+    assert opened.snapshot().to_bytes() == before

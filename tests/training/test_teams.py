@@ -153,7 +153,7 @@ def test_targets_are_lambda_returns_of_the_team(case: str) -> None:
         steps.append(type(result)(*(tensor.clone() for tensor in result)))
         return result
 
-    worker.agents.step, worker.agents.beside = noted, lambda *_: None
+    worker.agents.step, worker.agents.network_beside = noted, lambda *_: None
     gathered = worker.gather(1)
     note()
 
