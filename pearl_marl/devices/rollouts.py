@@ -118,10 +118,8 @@ class Record(NamedTuple):
     rewards: Array  # (steps, n_agents) float32
     terminations: Array  # (steps, n_agents) uint8
     truncations: Array  # (steps, n_agents) uint8
-    logits: (
-        Array  # (steps, n_agents, outputs) int32; of no outputs without logits; a learner's are floats' bits
-    )
-    # For learners; else of no agents.
+    logits: Array  # (steps, n_agents, outputs) int32; of no outputs without logits
+    # For learners, whose logits are the bits of floats; else of no agents.
     noise: Array  # (steps, n_agents, outputs) uint32: bits of floats, which the policy is given for draws
     present: Array  # (steps, n_agents) uint8: which agents take part
     final: Array  # as observations: what agents saw last, where the time limit ended their episodes
@@ -219,7 +217,7 @@ def chosen(
 
 
 def check_experience(config: BatchConfig, network: DevicePolicy, noise: Any) -> None:
-    """Refuse what compiled loops would not look at: another environment's network, or noise of another form."""
+    """Refuse what compiled loops do not look at: another environment's network, noise of another form."""
     spec, outputs = config.spec, sum(config.spec.action_counts)
     _check_spaces(spec, network)
     if spec.unpack is not None:
