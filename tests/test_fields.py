@@ -63,9 +63,12 @@ ELSEWHERE: dict[str, tuple[Callable[[], Device], tuple[EnvSpec, ...]]] = {
     "sharded": (lambda: Sharded([Reference(), Native()], [33, N - 33]), FIELDS),
 }
 PAIRS = [(name, spec) for name, (_, specs) in ELSEWHERE.items() for spec in specs]
+SAME, NEXT = AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP
 
 
-@pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP], ids=["same", "next"])
+@pytest.mark.parametrize(
+    "mode", [SAME, pytest.param(NEXT, marks=pytest.mark.exhaustive)], ids=["same", "next"]
+)
 @pytest.mark.parametrize(("name", "spec"), PAIRS, ids=[f"{name}-{spec.name}" for name, spec in PAIRS])
 def test_every_device_does_the_same(name: str, spec: EnvSpec, mode: AutoresetMode) -> None:
     lockstep = opened(Lockstep(ELSEWHERE[name][0](), "reference"), spec, autoreset_mode=mode)

@@ -157,14 +157,14 @@ FAULTS: list[tuple[Callable[[Path], None], str, str, str]] = [
 ]
 
 
-BY_YOSYS = (check_text,)
-"""Checks that are exhaustive: Yosys is WebAssembly, which takes a minute to compile before it first runs."""
+LONG = (check_text, check_lowering)
+"""Checks that are exhaustive: z3 takes seconds, and Yosys, which is WebAssembly, a minute before it first runs."""
 
 
 @pytest.mark.parametrize(
     "check",
     [
-        pytest.param(check, marks=pytest.mark.exhaustive if check in BY_YOSYS else ())
+        pytest.param(check, marks=pytest.mark.exhaustive if check in LONG else ())
         for check in dict.fromkeys(check for check, *_ in FAULTS)
     ],
     ids=lambda check: check.__name__,
@@ -174,7 +174,7 @@ def test_without_a_fault(check: Callable[[Path], None], tmp_path: Path) -> None:
 
 
 OF_PASSES = {(check, module): fault for fault in reversed(FAULTS) for check, module in [fault[:2]]}
-FIRST = [fault for fault in OF_PASSES.values() if fault[0] not in BY_YOSYS]
+FIRST = [fault for fault in OF_PASSES.values() if fault[0] not in LONG]
 """A fault of each pass that each check has to find; the others are exhaustive."""
 
 

@@ -92,7 +92,7 @@ def test_illegal_parameters(options: dict, says: str) -> None:
         opened(Rtl(**options))
 
 
-@pytest.mark.parametrize(("pe_num", "data_wl"), [(4, 32), (3, 128)])
+@pytest.mark.parametrize(("pe_num", "data_wl"), [(4, 32), pytest.param(3, 128, marks=pytest.mark.exhaustive)])
 def test_both_paths_give_the_same_words(pe_num: int, data_wl: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every byte that a step reads, status and its cycle count included; of a build as users have it, too."""
     if pe_num == 4:

@@ -33,7 +33,15 @@ SMALL: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize(("spec", "gain"), [(ROVER, 20), (LAMPS, 0.5), (GLIDER, 5), (RELAY, 0.5)])
+@pytest.mark.parametrize(
+    ("spec", "gain"),
+    [
+        (ROVER, 20),
+        pytest.param(LAMPS, 0.5, marks=pytest.mark.exhaustive),
+        pytest.param(GLIDER, 5, marks=pytest.mark.exhaustive),
+        (RELAY, 0.5),
+    ],
+)
 def test_ppo_gets_better(spec: EnvSpec, gain: float, tmp_path: Path) -> None:
     trainer = PPO(spec, "native", PPOSettings(**SMALL))
     before = evaluate(trainer.policy, spec, 200)["eval_return"]
