@@ -158,7 +158,7 @@ FAULTS: list[tuple[Callable[[Path], None], str, str, str]] = [
 
 
 LONG = (check_text, check_lowering)
-"""Checks that are exhaustive: z3 takes seconds, and Yosys, which is WebAssembly, a minute before it first runs."""
+"""Checks that are exhaustive: z3 takes seconds; Yosys is WebAssembly, and takes a minute to compile."""
 
 
 @pytest.mark.parametrize(
