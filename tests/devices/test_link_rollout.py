@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import Any
 from unittest import mock
 
@@ -133,8 +134,14 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("device", ["native", "reference", "cuda"])
-@pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, NEXT])
+@pytest.mark.parametrize(
+    ("device", "mode"),
+    [
+        *itertools.product(["native", "reference"], [AutoresetMode.SAME_STEP, NEXT]),
+        ("cuda", NEXT),
+        pytest.param("cuda", AutoresetMode.SAME_STEP, marks=pytest.mark.exhaustive),
+    ],
+)
 def test_agents_that_end_one_by_one_are_counted(mode: AutoresetMode, device: str) -> None:
     """As by the count of single steps, which shares nothing with those of rollouts; also begun at a reset."""
     if device == "cuda":
