@@ -87,7 +87,7 @@ module backbone_proof
   logic [TIME_BITS-1:0] now_q = '0, quiet_q = '0;
   always_ff @(posedge clk_i) begin
     if (now_q != '1) now_q <= now_q + 1'b1;
-    if (u_backbone.issue) quiet_q <= '0;
+    if (u_backbone.issue.valid) quiet_q <= '0;
     else if (quiet_q != '1) quiet_q <= quiet_q + 1'b1;
   end
 
@@ -150,7 +150,7 @@ module backbone_proof
 
 `ifndef PROVE_RESET
   always_comb begin
-    if (now_q < TIME_BITS'(BEGIN)) assume (!u_backbone.issue);
+    if (now_q < TIME_BITS'(BEGIN)) assume (!u_backbone.issue.valid);
     if (now_q == TIME_BITS'(BEGIN)) assume (idle);
     if (now_q >= TIME_BITS'(BEGIN)) assume (!reset);
   end
