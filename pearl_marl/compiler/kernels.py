@@ -7,9 +7,9 @@ golden step is a new file, and a warm start compiles nothing.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import inspect
-import weakref
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
@@ -36,7 +36,7 @@ from pearl_marl.compiler.kernel_loops import KERNELS, KernelLoops
 from pearl_marl.compiler.kernel_source import counter_of, kernel_source
 from pearl_marl.compiler.loading import fingerprint, load, with_callees
 from pearl_marl.golden import GoldenFunction, rebinding, rng
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import EnvSpec, Itself
 
 # LLVM turns no loop that still has a call in it into SIMD code, and left to itself it keeps a long
 # function as one.
@@ -95,20 +95,37 @@ def compile_kernels(spec: EnvSpec, counter: np.dtype[Any] | None = None) -> Kern
 
     ``counter`` is the dtype of elapsed steps, as :func:`kernel_source` takes it.
     """
-    key = id(spec), counter
-    if _names.get(key) not in _loaded:
-        _names[key] = _load(spec, counter)
-        weakref.finalize(spec, _names.pop, key, None).atexit = False  # another may have its id later
-    return _loaded[_names[key]]
+    name = _name(Itself(spec), counter_of(spec, counter))
+    if name not in _loaded:
+        golden: dict[str, Any] = {}
+        unpack = spec.positional.unpack
+        compiled = None if unpack is None else _compiled(unpack)
+        loops = KernelLoops(spec, counter_of(spec, counter), golden, compiled)
+        writing = {
+            f"write_{kernel}": llvm_functions.written(getattr(loops, kernel), arguments, loops.compiled)
+            for kernel, arguments in KERNELS.items()
+        }
+        module, path = load(
+            name,
+            kernel_source(spec, counter),
+            kernel=partial(_kernel, name),
+            inlined=lambda function: golden.setdefault(function.__name__, function),
+            **llvm_words.operations(),
+            **writing,
+        )
+        made: dict[str, Any] = {kernel: getattr(module, kernel) for kernel in KERNELS}
+        _loaded[name] = Kernels(**made, path=path)
+    return _loaded[name]
 
 
-_names: dict[tuple[int, np.dtype[Any] | None], str] = {}
-"""Names for specs that are still there: to write and hash a source takes longer than many a rollout."""
+_loaded: dict[str, Kernels] = {}
+"""By name, which is a hash of all that a kernel depends on."""
 
 
-def _load(spec: EnvSpec, counter: np.dtype[Any] | None) -> str:
-    """Load kernels, unless they are; return their name."""
-    source = kernel_source(spec, counter)
+@functools.lru_cache(maxsize=64)
+def _name(itself: Itself, counter: str) -> str:
+    """Return the name of a spec's kernels; to read and hash all that it depends on takes milliseconds."""
+    spec = itself.spec
     parts = (
         agents_alike,
         *(flag_runs, kernel_ends, kernel_loops, llvm_functions, llvm_loops, llvm_planes, llvm_words),
@@ -121,31 +138,7 @@ def _load(spec: EnvSpec, counter: np.dtype[Any] | None) -> str:
         f"{_FORCE_INLINE=}",
         *map(inspect.getsource, parts),
     )
-    name = kernel_name(spec, source, versions)
-    if name not in _loaded:
-        golden: dict[str, Any] = {}
-        unpack = spec.positional.unpack
-        compiled = None if unpack is None else _compiled(unpack)
-        loops = KernelLoops(spec, counter_of(spec, counter), golden, compiled)
-        writing = {
-            f"write_{kernel}": llvm_functions.written(getattr(loops, kernel), arguments, loops.compiled)
-            for kernel, arguments in KERNELS.items()
-        }
-        module, path = load(
-            name,
-            source,
-            kernel=partial(_kernel, name),
-            inlined=lambda function: golden.setdefault(function.__name__, function),
-            **llvm_words.operations(),
-            **writing,
-        )
-        made: dict[str, Any] = {kernel: getattr(module, kernel) for kernel in KERNELS}
-        _loaded[name] = Kernels(**made, path=path)
-    return name
-
-
-_loaded: dict[str, Kernels] = {}
-"""By name, which is a hash of all that a kernel depends on."""
+    return kernel_name(spec, kernel_source(spec, np.dtype(counter)), versions)
 
 
 def _kernel(name: str, function: Callable[..., None]) -> Any:

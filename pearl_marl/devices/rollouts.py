@@ -167,21 +167,19 @@ class Record(NamedTuple):
 
     def experience(self, config: BatchConfig, last: Observed) -> Experience:
         """Return the steps as a learner takes them, and what was observed ``last``."""
-        made, alive = self.arrays(config), self.present.view(np.bool_)
-        masks, cut = made["action_masks"], made["truncations"]
-        final = np.zeros_like(made["observations"])
+        observations, cut = observations_of(config.spec, self.observations), self.truncations.view(np.bool_)
+        final = np.zeros_like(observations)
         final[cut] = observations_of(config.spec, self.final[cut])
-        if last.action_masks is not None:
-            masks = np.concatenate([masks, last.action_masks[None]])
+        masks = None if last.action_masks is None else np.concatenate([self.masks, last.action_masks[None]])
         return Experience(
-            observations=np.concatenate([made["observations"], last.obs[None]]),
+            observations=np.concatenate([observations, last.obs[None]]),
             action_masks=masks,
-            in_episode=np.concatenate([alive, last.in_episode[None]]),
+            in_episode=np.concatenate([self.present.view(np.bool_), last.in_episode[None]]),
             words=self.words,
             outputs=self.logits.view(np.float32),
-            rewards=made["rewards"],
-            terminations=made["terminations"],
-            truncations=made["truncations"],
+            rewards=self.rewards,
+            terminations=self.terminations.view(np.bool_),
+            truncations=cut,
             final_observations=final,
         )
 

@@ -109,7 +109,7 @@ def test_agents_of_a_crowd_share_functions() -> None:
     assert_means_the_golden_functions(spec, random.Random(0), compiled)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.exhaustive  # takes five seconds; the one above finds which functions are shared, too
 def test_agents_of_a_crowd_that_are_not_alike_have_functions_of_their_own() -> None:
     spec = get_spec("LevelBasedForaging").with_options(**CROWD)
 

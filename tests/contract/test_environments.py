@@ -163,7 +163,7 @@ class TestSlowDevices(ContractSuite):
 
 @pytest.mark.usefixtures("toys")
 class TestWorlds(DeviceSuite):
-    """Slots of several agents, wherever they step."""
+    """Slots of several agents, wherever they step; in ``make test`` in hardware, as others have the rest."""
 
     environments = (MEADOW.name,)
     devices = ("rtl", "lockstep", "reference") if sampling.exhaustive else ("rtl",)
@@ -263,7 +263,10 @@ class MadeCase(Case):
 
 
 class TestLinks(ContractSuite):
-    """A board behind files, and slots shared among devices, with the environment that draws most."""
+    """A board behind files, and slots shared among devices, with the environment that draws most.
+
+    ``tests/devices/test_sharded.py`` has more of the second, so in ``make test`` there is only the board.
+    """
 
     environments = ("Blackjack",)
     devices = tuple(MADE) if sampling.exhaustive else ("xdma",)

@@ -201,7 +201,7 @@ def test_a_memory_that_is_not_block_ram_is_named(monkeypatch: pytest.MonkeyPatch
     assert "Not block RAM:" in result.stderr
 
 
-@pytest.mark.exhaustive
+@pytest.mark.exhaustive  # Yosys is WebAssembly, which takes a minute to compile before it first runs
 @needs_yosys
 def test_what_yosys_refuses_is_a_device_error(monkeypatch: pytest.MonkeyPatch, tmp_path) -> None:
     files = elaboration.sources(SPEC)
