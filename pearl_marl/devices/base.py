@@ -418,7 +418,7 @@ class Device(ABC):
             return record.experience(self.config, observed._replace(obs=last))
 
     def _experience(self, network: DenseNetwork, noise: Array) -> tuple[rollouts.Record, Observed]:
-        """Do the steps, if the device ``runs_networks``; return what was recorded, and what is observed last."""
+        """Do the steps, as a device that ``runs_networks``; return the record, and what is observed last."""
         raise NotImplementedError
 
     @contextmanager
