@@ -89,6 +89,19 @@ def test_a_rollout_is_its_steps(name: str) -> None:
     assert_same_place(fast, slow)
 
 
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("n", [1, 1_000, 43_008])
+@pytest.mark.parametrize("name", pearl_marl.list_envs())
+def test_a_long_rollout_is_its_steps(name: str, n: int) -> None:
+    """Over 1,000 steps; 43,008 agents with a large observation make 40, which take NumPy half a minute."""
+    policy = policy_for(name)
+    steps = 40 if n > 1_000 and np.prod(policy.spec.observation_space.shape or ()) > 64 else 1_000
+    worlds = -(-n // policy.spec.agents)
+    fast, slow = opened(Native(), name, worlds), opened(Stepping(), name, worlds)
+    assert_same(fast.rollout(policy, steps), slow.rollout(policy, steps))
+    assert_same_place(fast, slow)
+
+
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("how", [{"max_cycles": 7}, {"initial_states": "stored"}, {"first_slot": 1000}])
 @pytest.mark.parametrize("name", ["CartPole", "LevelBasedForaging"])

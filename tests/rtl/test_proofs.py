@@ -235,15 +235,15 @@ BACKBONES = {
     # The same with narrower observations, which is sooner proved.
     "less": Around(3, 2, 2, 2, 5, 2, draws=0, latency=1, interval=1, pipelined=True, step_cycles=18, slot=2),
     # The same of any slot, with random draws and observations that wait for room.
-    "room": Around(3, 2, 2, 2, 36, 2, draws=1, latency=1, interval=1, pipelined=True, step_cycles=24),
+    "room": Around(3, 2, 2, 2, 36, 2, draws=1, latency=1, interval=1, pipelined=True, step_cycles=26),
     # A row of observations is more than a word; a core that takes a slot every third cycle.
     "interval": Around(5, 2, 3, 2, 20, 2, draws=0, latency=2, interval=3, pipelined=True, step_cycles=28),
     "serial": Around(3, 2, 3, 2, 12, 2, draws=0, latency=1, interval=1, pipelined=False, step_cycles=26),
     # One slot to a group, and rows that divide into words.
     "alone": Around(3, 1, 3, 8, 8, 8, draws=0, latency=1, interval=1, pipelined=True, step_cycles=18),
     # A row of actions is more than a word, and so is one of states.
-    "wide": Around(5, 3, 20, 12, 5, 1, draws=1, latency=2, interval=1, pipelined=True, step_cycles=23),
-    "groups": Around(7, 2, 3, 2, 12, 2, draws=2, latency=2, interval=1, pipelined=True, step_cycles=25),
+    "wide": Around(5, 3, 20, 12, 5, 1, draws=1, latency=2, interval=1, pipelined=True, step_cycles=25),
+    "groups": Around(7, 2, 3, 2, 12, 2, draws=2, latency=2, interval=1, pipelined=True, step_cycles=27),
     # Agents that end one by one.
     "world": Around(
         3, 2, 2, 6, 12, 6, draws=0, latency=1, interval=1, pipelined=True, step_cycles=18, slot=2, agents=3

@@ -2,7 +2,9 @@
 // Keys that are any, and there whenever they are; a draw in which slot and keys can be told apart, and
 // nothing is multiplied. What they are in truth, a bench compares with pearl_marl/golden/rng.py.
 module pearl_rng #(
-    parameter int unsigned DRAWS = 1
+    parameter int unsigned DRAWS = 1,
+    // Of no effect: the keys are any, whatever their indices.
+    parameter int unsigned FIRST = 0
 ) (
     input  logic                   clk_i,
     input  logic                   rst_ni,
