@@ -1,7 +1,6 @@
 """The golden step of Elevators: cars fetch passengers from the floors between, for the top or the bottom.
 
-Follows ``Elevators_MDP_ippc2011`` of https://github.com/pyrddlgym-project/rddlrepository (2.2): T. Walsh and
-S. Sanner, a domain of the *International Probabilistic Planning Competition*, 2011.
+Follows ``Elevators_MDP_ippc2011`` of https://github.com/pyrddlgym-project/rddlrepository (2.2), 2011.
 """
 
 from typing import Any, NamedTuple
@@ -65,8 +64,7 @@ def make_golden(count: int, arrivals: tuple[float, ...]) -> Golden:
         boards = not car.closed and [0, *(state.waiting_up if car.up else state.waiting_down), 0][car.floor]
         takes_up = car.floor != top if car.takes_up else boards and car.up
         takes_down = car.floor != 0 if car.takes_down else boards and not car.up
-        up = action == OPEN_UP or (car.up and action != OPEN_DOWN)
-        return Car(floor, up, closed, takes_up, takes_down)
+        return Car(floor, action == OPEN_UP or (car.up and action != OPEN_DOWN), closed, takes_up, takes_down)
 
     def cost_of(car: Car) -> Word:
         """Return what the passengers in a car cost."""

@@ -1,7 +1,7 @@
 """The golden step of Inventory: a chain of stages, of which each orders from the next one.
 
-Customers buy from stage 0, which orders from stage 1, which orders from stage 2, which orders from a plant
-that has all it needs. What is ordered arrives some periods later; what a supplier does not have is lost.
+Customers buy from stage 0, stage 0 orders from 1, 1 from 2, and 2 from a plant that has all it needs. Orders
+arrive some periods later; what a supplier does not have is lost.
 
 Follows https://github.com/JGIoA/or-gymnasium (``or-gymnasium`` 0.1.0, ``InvManagement-v1``), after C. Hubbs
 et al., *OR-Gym: A Reinforcement Learning Library for Operations Research Problems*, 2020.
@@ -9,6 +9,7 @@ et al., *OR-Gym: A Reinforcement Learning Library for Operations Research Proble
 
 import math
 from itertools import accumulate
+from operator import mul
 from typing import NamedTuple
 
 from pearl_marl.golden import Draws, Word
@@ -22,15 +23,13 @@ DEMANDS = [round(chance * 2**32) for chance in accumulate(CHANCES)]
 CAPACITY, LEAD, START = (100, 90, 80), (3, 5, 10), (100, 100, 200)
 """Of each stage the most that it can order, after how many periods that arrives, and what it has at first."""
 
-# Money is counted in fortieths: then all of it comes in integers.
 PRICE, PENALTY = (80, 60, 40, 30), (4, 3, 2, 1)
-"""What the stages and the plant get for a unit, and lose by one that they do not have."""
+"""What the stages and the plant get for a unit, and lose by one that they lack, in whole fortieths."""
 COST, PLANT_COST, HOLDING = (60, 40, 30), 20, (6, 4, 2)
 """What a unit costs the stages, what it costs the plant, and what the stages pay for one that they keep."""
 FRACTION = 12
-"""Bits of the reward behind the binary point."""
 WORTH = tuple(round(0.97**period / 40 * 2 ** (FRACTION + 12)) for period in range(PERIODS))
-"""What a fortieth is worth in each period, with twelve bits more."""
+"""What a fortieth is worth in each period, with twelve bits more behind the point than the reward."""
 
 
 class State(NamedTuple):
@@ -68,16 +67,12 @@ def step(state: State, action: list[Word], draws: Draws) -> tuple[State, Word, W
     sold = [min(demand, stored[0]), *shipped]
     stored = [max(units - taken, 0) for units, taken in zip(stored, sold[:3], strict=True)]
     missed = [asked - taken for asked, taken in zip([demand, *orders], sold, strict=True)]
-    costs = total(COST, shipped) + PLANT_COST * shipped[2] + total(PENALTY, missed) + total(HOLDING, stored)
-    profit = (total(PRICE, sold) - costs) * WORTH[state.period] >> 12
+    costs = sum(map(mul, COST, shipped)) + PLANT_COST * shipped[2]
+    costs += sum(map(mul, PENALTY, missed)) + sum(map(mul, HOLDING, stored))
+    profit = (sum(map(mul, PRICE, sold)) - costs) * WORTH[state.period] >> 12
     first, second, third = ([*later, units] for (_, *later), units in zip(coming, shipped, strict=True))
     period = min(state.period + 1, PERIODS - 1)
     return State(stored, first, second, third, [*state.orders[1:], orders], period), profit, False
-
-
-def total(prices: tuple[int, ...], units: list[Word]) -> Word:
-    """Return what so many units of each kind come to."""
-    return sum(price * count for price, count in zip(prices, units, strict=True))
 
 
 def observe(state: State) -> View:
