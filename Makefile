@@ -15,7 +15,7 @@ CORES := $(shell nproc 2>/dev/null || echo 2)
 PACKAGE := pyproject.toml constraints.txt
 PIP = $(BIN)/python -W ignore -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 
-.PHONY: demo test test-exhaustive test-rllib test-torchrl test-peers test-clients test-cuda test-docs lint format bench bench-peers figures ulx3s docs dist clean
+.PHONY: demo test test-exhaustive test-rllib test-torchrl test-peers test-clients test-cuda test-docs lint format bench bench-peers figures tables ulx3s docs dist clean
 .DELETE_ON_ERROR:
 
 # Compiled modules are kept even where the environment says not to: the tests start hundreds of processes, and each
@@ -72,6 +72,16 @@ bench-peers: $(PEERS)/.peers
 	$(PEERS)/bin/pearl bench training --out $(OUT)/bench
 
 # Every table and figure of the paper, measured here, as a page. Takes hours; started again, it goes on.
+# The tables of environments, of what stands in their folders.
+tables: $(VENV)/.dev
+	mkdir -p $(OUT)
+	$(BIN)/pearl envs --markdown > $(OUT)/environments.txt
+	$(BIN)/python -m experiments.environment_figures > $(OUT)/environment_figures.txt
+	for page in environments environment_figures; do \
+	  sed -i '/to the last line. -->$$/q' docs/$$page.md; \
+	  { echo; cat $(OUT)/$$page.txt; } >> docs/$$page.md; \
+	done
+
 figures: $(VENV)/.report
 	$(BIN)/pearl report --out $(OUT)/report
 

@@ -67,6 +67,17 @@ class Source(File):
         return True
 
 
+def on_config(config: Any) -> Any:
+    """Put every environment's page in the place of the pattern that stands in the navigation for all."""
+    pattern = "envs/*/README.md"
+    for section in config.nav:
+        for pages in section.values() if isinstance(section, dict) else ():
+            if pattern in pages:
+                at = pages.index(pattern)
+                pages[at : at + 1] = sorted(str(path.relative_to(ROOT)) for path in ROOT.glob(pattern))
+    return config
+
+
 def on_files(files: Files, config: Any) -> Files:
     """Replace the files of ``docs/`` by all that the site has, at their paths in the repository."""
     theme = [file for file in files if ROOT / "docs" not in Path(file.abs_src_path or "/").parents]

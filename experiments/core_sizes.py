@@ -1,9 +1,9 @@
 """What each environment's core takes by itself, without the memories and the bus around it.
 
-``PYTHONPATH=. python experiments/core_sizes.py ENV ...`` prints rows of the table of docs/compiler.md ("What
-a core takes"): environments under their default options, synthesised by Yosys for the 7 series and for the
-ECP5, with cores generated for 150 MHz. A row takes 16 seconds or more, that of SimpleSpread more than eight
-minutes. Without names it prints those of all environments.
+``PYTHONPATH=. python experiments/core_sizes.py ENV ...`` prints a row for each environment under its default
+options, synthesised by Yosys for the 7 series and for the ECP5, with cores generated for 150 MHz. A row takes
+16 seconds or more, that of SimpleSpread more than eight minutes. Without names it prints those of all
+environments. With ``--keep`` rows become facts of the environments, for docs/environment_figures.md.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ import typer
 from pearl_marl.compiler.cores import Core, generated_core
 from pearl_marl.envs import get_spec, names
 from pearl_marl.experiments.calling import call
+from pearl_marl.experiments.environment_figures import CELLS as COLUMNS
+from pearl_marl.experiments.environment_figures import keep_fact
 from pearl_marl.hardware import toolchain
 from pearl_marl.hardware.synthesis import CELLS, Family, count_cells
 
@@ -29,17 +31,23 @@ def main(
         list[str] | None,
         typer.Argument(metavar="[ENV]...", help="Environments, also as package:Class; without, all."),
     ] = None,
+    keep: Annotated[bool, typer.Option("--keep", help="Write the rows into facts.json, too.")] = False,
 ) -> None:
     """Print the table in Markdown, a row as soon as it is known."""
-    columns = [f"{family.value} {what}" for family in FAMILIES for what in ("latency", "LUT", "FF", "DSP")]
+    columns = [f"{family.value} {what}" for family in FAMILIES for what in COLUMNS]
     print(f"| environment | {' | '.join(columns)} |\n| --- |{' ---: |' * len(columns)}")
     for name in environments or names():
-        figures: list[int] = []
+        row: dict[str, dict[str, int]] = {}
         for family in FAMILIES:
             core = generated_core(get_spec(name), family.target, "alone")
             used = synthesised_core(core, family)
-            figures += (core.latency, used["lut"], used["ff"], used["dsp"])
-        print(f"| {name} | {' | '.join(f'{figure:,}' for figure in figures)} |", flush=True)
+            row[family.value] = {"latency": core.latency} | {
+                cells: used[cells] for cells in ("lut", "ff", "dsp")
+            }
+        figures = [f"{figure:,}" for of_family in row.values() for figure in of_family.values()]
+        print(f"| {name} | {' | '.join(figures)} |", flush=True)
+        if keep:
+            keep_fact(name, "core", row)
 
 
 def synthesised_core(core: Core, family: Family) -> dict[str, Any]:

@@ -1,9 +1,9 @@
 """What the latency model says of builds at real sizes.
 
-``python experiments/predictions.py`` prints the tables of docs/hardware.md ("Sizes by default") and of
-docs/latency.md: the paper's loops, bursts, what ``pearl plan`` chooses, the prediction for the paper's link.
-Cycles are counted, host times measured on this machine; the clock is that of our design for its board.
-``latency_model.py`` has the model beside simulation, ``pipeline.py`` with the pipeline and without.
+``python experiments/predictions.py`` prints the tables of docs/latency.md: the paper's loops, bursts, what
+``pearl plan`` chooses, the prediction for the paper's link. Cycles are counted, host times measured on this
+machine; the clock is that of our design for its board. ``latency_model.py`` has the model beside simulation,
+``pipeline.py`` with the pipeline and without.
 """
 
 from __future__ import annotations
@@ -15,12 +15,11 @@ from pearl_marl.envs import get_spec, names
 from pearl_marl.experiments import paper_builds, pipeline
 from pearl_marl.experiments.calling import call
 from pearl_marl.experiments.equations import LOOPS
-from pearl_marl.hardware import elaboration
 from pearl_marl.hardware.fitting import PARTS, modelled_bram36
-from pearl_marl.latency import HostTimes, loop_cycles, plan, predict, step_cycles
-from pearl_marl.latency.cycles import RESULTS, read_cycles, write_cycles
+from pearl_marl.latency import HostTimes, loop_cycles, plan, predict
+from pearl_marl.latency.cycles import read_cycles, write_cycles
 from pearl_marl.latency.prediction import Overlap
-from pearl_marl.memory_map import default_map, memory_map
+from pearl_marl.memory_map import memory_map
 
 SLOTS = 43_008
 PAPERS_LINK = (64, 256)
@@ -29,14 +28,12 @@ PAPERS_LINK = (64, 256)
 
 def main() -> None:
     """Print every table in Markdown."""
-    _print("Sizes by default (docs/hardware.md)", _HEADINGS_DEFAULT, _defaults())
     _print("The paper's loops (docs/latency.md)", "pe_num | word | Eq. 2 | Eq. 3 | this design", _loops())
     _print("Bursts (docs/latency.md)", _HEADINGS_BURSTS, _bursts())
     _print("What pearl plan chooses (docs/latency.md)", _HEADINGS_PLANS, _plans())
     _print("Prediction for the paper's link (docs/latency.md)", _HEADINGS_LINK, _papers_link())
 
 
-_HEADINGS_DEFAULT = "environment | latency | pe_num | data_wl | bound | cycles | over bound + latency"
 _HEADINGS_BURSTS = "bursts | beats | write | read | of the bus | T2 | T6"
 _HEADINGS_PLANS = (
     "environment | slots | PEs | word | BRAM36 | DSP | computing | link | steps/s | halves | by speed alone"
@@ -46,17 +43,6 @@ _HEADINGS_LINK = "slots | T1 | T2 | T3 to T5 | T6 | T7 | a step | steps/s | two 
 
 def _print(title: str, headings: str, rows: Iterable[tuple[str, ...]]) -> None:
     print(f"\n{title}\n\n{MeasuredTable(headings.split(' | '), list(rows), text=()).markdown()}")
-
-
-def _defaults() -> Iterable[tuple[str, ...]]:
-    for name in names():
-        spec = get_spec(name)
-        layout, timing = default_map(spec, SLOTS), elaboration.core_timing(spec)
-        words = max(layout["actions"].words, *(layout[result].words for result in RESULTS))
-        bound, cycles = max(layout.groups * timing.interval, words), step_cycles(spec, layout)
-        figures = (timing.latency, layout.pe_num, layout.data_wl, bound, cycles)
-        over = 100 * (cycles / (bound + timing.latency) - 1)
-        yield name, *(f"{figure:,}" for figure in figures), f"+{over:.1f} %"
 
 
 def _loops() -> Iterable[tuple[str, ...]]:

@@ -23,6 +23,7 @@ from pearl_marl.devices import BatchConfig, Native, Rtl, Xdma
 from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import DeviceError, SavedStateError
+from pearl_marl.experiments.environment_figures import facts, keep_fact, ours
 from pearl_marl.golden import Draws, i16, u8, u32
 from pearl_marl.golden.tracing.records import RULES
 from pearl_marl.hardware.build import Build
@@ -173,7 +174,7 @@ def test_each_agent_of_a_world_counts(spec: EnvSpec) -> None:
     assert changed.behaviour != spec.behaviour
 
 
-KNOWN = json.loads(Path(__file__).with_name("behaviours.json").read_text())
+KNOWN = {name: facts(name)["behaviour"] for name in ours()}
 """As of all environments under the compiler's rules of now: boards are built with these. ``python -m
 tests.test_behaviour`` writes them anew. Where the functions are what they were, the compiler has changed:
 then count ``pearl_marl.golden.tracing.records.RULES`` up, so that saved states load all the same."""
@@ -301,5 +302,5 @@ def test_saved_states_of_other_rules_are_read(hash_: str) -> None:
 
 
 if __name__ == "__main__":
-    text = json.dumps(behaviours(names()), indent=4)
-    Path(__file__).with_name("behaviours.json").write_text(f"{text}\n")
+    for name, behaviour in behaviours(ours()).items():
+        keep_fact(name, "behaviour", behaviour)

@@ -22,7 +22,6 @@ DEMANDS = [round(chance * 2**32) for chance in accumulate(CHANCES)]
 """Below which 32-bit draw a demand, of Poisson's distribution, is at most 0, 1, 2 and so on."""
 CAPACITY, LEAD, START = (100, 90, 80), (3, 5, 10), (100, 100, 200)
 """Of each stage the most that it can order, after how many periods that arrives, and what it has at first."""
-
 PRICE, PENALTY = (80, 60, 40, 30), (4, 3, 2, 1)
 """What the stages and the plant get for a unit, and lose by one that they lack, in whole fortieths."""
 COST, PLANT_COST, HOLDING = (60, 40, 30), 20, (6, 4, 2)
@@ -68,7 +67,8 @@ def step(state: State, action: list[Word], draws: Draws) -> tuple[State, Word, W
     stored = [max(units - taken, 0) for units, taken in zip(stored, sold[:3], strict=True)]
     missed = [asked - taken for asked, taken in zip([demand, *orders], sold, strict=True)]
     costs = sum(map(mul, COST, shipped)) + PLANT_COST * shipped[2]
-    costs += sum(map(mul, PENALTY, missed)) + sum(map(mul, HOLDING, stored))
+    costs += sum(map(mul, PENALTY, missed))
+    costs += sum(map(mul, HOLDING, stored))
     profit = (sum(map(mul, PRICE, sold)) - costs) * WORTH[state.period] >> 12
     first, second, third = ([*later, units] for (_, *later), units in zip(coming, shipped, strict=True))
     period = min(state.period + 1, PERIODS - 1)

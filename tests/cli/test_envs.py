@@ -11,19 +11,38 @@ import pytest
 from pearl_marl import get_spec, list_envs
 from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.cli.envs import markdown
+from pearl_marl.experiments.environment_figures import tables
 from pearl_marl.spec import word_bits
 
 from ..toy import DRIFT, LADDER, SLIDE
 
-PAGE = Path(__file__).parents[2] / "docs" / "environments.md"
+ROOT = Path(__file__).parents[2]
+MARKER = "to the last line. -->\n\n"
+"""Where a page begins that ``make tables`` writes."""
 
 
 def test_the_page_is_that_of_the_registry() -> None:
-    before, marker, tables = PAGE.read_text().partition(" `pearl envs --markdown`, to the last line. -->\n\n")
+    before, marker, text = (ROOT / "docs" / "environments.md").read_text().partition(MARKER)
     assert before
     assert marker
-    expected = markdown([get_spec(name) for name in list_envs()])
-    assert tables == expected, "replace the page's end by what `pearl envs --markdown` prints"
+    assert text == markdown([get_spec(name) for name in list_envs()]), "make tables"
+
+
+def test_the_figures_are_those_of_the_folders() -> None:
+    before, marker, text = (ROOT / "docs" / "environment_figures.md").read_text().partition(MARKER)
+    assert before
+    assert marker
+    assert text == f"{tables()}\n", "make tables"
+
+
+@pytest.mark.parametrize("name", ["Game2048", "MiniGridMemory", "Pursuit"])
+def test_an_environment_touches_its_folder_and_its_test(name: str) -> None:
+    """And pages that are written anew; these are in nobody's examples."""
+    patterns = "README.md", "mkdocs.yml", "examples/*", "tests/*.*", "tests/*/*.py", "docs/site.py"
+    pages = [path for pattern in patterns for path in ROOT.glob(pattern) if path.is_file()]
+    pages = [path for path in pages if path.parent.name != "envs" and path != Path(__file__)]
+    assert len(pages) > 100
+    assert [path for path in pages if name in path.read_text()] == []
 
 
 @pytest.mark.parametrize("name", [name for name in TABLE_2 if name in list_envs()])
