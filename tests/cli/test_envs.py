@@ -35,7 +35,7 @@ def test_the_figures_are_those_of_the_folders() -> None:
     assert text == f"{tables()}\n", "make tables"
 
 
-@pytest.mark.parametrize("name", ["Game2048", "MiniGridMemory", "Pursuit"])
+@pytest.mark.parametrize("name", ["MiniGridMemory", "Pursuit"])
 def test_an_environment_touches_its_folder_and_its_test(name: str) -> None:
     """And pages that are written anew; these are in nobody's examples."""
     patterns = "README.md", "mkdocs.yml", "examples/*", "tests/*.*", "tests/*/*.py", "docs/site.py"
