@@ -29,7 +29,7 @@ from pearl_marl.policies.dense_policy import DenseNetwork
 from pearl_marl.policies.device_policy import FIRST_DRAW, CompiledPolicy, DevicePolicy
 from pearl_marl.policies.golden_policy import GoldenPolicy
 from pearl_marl.policies.integer_loops import called
-from pearl_marl.policies.integer_network import IntegerNetwork
+from pearl_marl.policies.integer_network import AgentNetworks, IntegerNetwork
 
 TICK, SEED_0, SEED_1, FIRST_SLOT, NEXT_STEP = map(
     STEP_ARGUMENTS.index, ("tick", "seed_0", "seed_1", "first_slot", "next_step")
@@ -213,15 +213,16 @@ observations.
 """
 
 
-_COMPILED: Mapping[type, Callable[[Any, np.dtype[Any]], CompiledPolicy]] = {
+_COMPILED: Mapping[type, Callable[[Any, np.dtype[Any]], CompiledPolicy | None]] = {
     IntegerNetwork: integer_loops.compiled,
+    AgentNetworks: integer_loops.compiled_apart,
     DenseNetwork: dense_policy.compiled,
     GoldenPolicy: golden_policy.compiled,
 }
 
 
 def compiled_policy(policy: DevicePolicy, elements: np.dtype[Any]) -> CompiledPolicy | None:
-    """Return a policy compiled for elements of a dtype; ``None`` if its kind cannot be."""
+    """Return a policy compiled for elements of a dtype; ``None`` if it cannot be."""
     compiled = _COMPILED.get(type(policy))
     return None if compiled is None else compiled(policy, elements)
 

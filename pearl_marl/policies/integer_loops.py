@@ -1,5 +1,7 @@
 """Integer networks, compiled for a CPU: a few agents at a time go through all layers, in the first cache.
 
+Where each agent of a world has a network of its own, that of one takes the agents of its place in all worlds.
+
 What the processor has instructions for is in :mod:`pearl_marl.policies.integer_vectors`.
 """
 
@@ -13,12 +15,13 @@ from numba import njit, types
 
 from pearl_marl.base.arrays import Array
 from pearl_marl.compiler import addresses
-from pearl_marl.compiler.addresses import address_of, fields_at, in_memory
+from pearl_marl.compiler.addresses import address_of, call_act, fields_at, in_memory
 from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.policies import integer_vectors
 from pearl_marl.policies.device_policy import ACT_ARGUMENTS, CompiledPolicy
 from pearl_marl.policies.integer_network import (
     ENTRIES,
+    AgentNetworks,
     Dense,
     Head,
     IntegerNetwork,
@@ -556,3 +559,66 @@ def compiled(network: IntegerNetwork, elements: np.dtype[Any]) -> CompiledPolicy
     """Return a network as a rollout calls it, for elements of a dtype."""
     fields, act = prepared(network, elements), address_of(compiled_act(), *ACT_ARGUMENTS)
     return CompiledPolicy(act, in_memory(fields), network.draws, fields)
+
+
+class AgentFields(NamedTuple):
+    """The networks of a world's agents, as compiled loops take them: an element an agent."""
+
+    agents: int
+    acts: Words  # addresses of functions
+    memory: Words  # addresses of what they work on
+
+
+_agents_at = fields_at(AgentFields)
+
+
+@called
+def _take_every(rows: Array, first: int, agents: int, taken: Array) -> None:
+    """Copy every row of one agent."""
+    for i in range(len(taken)):
+        for k in range(taken.shape[1]):
+            taken[i, k] = rows[first + i * agents, k]
+
+
+@called
+def _give_every(given: Array, first: int, agents: int, rows: Array) -> None:
+    for i in range(len(given)):
+        for k in range(given.shape[1]):
+            rows[first + i * agents, k] = given[i, k]
+
+
+def _act_apart(networks, elements, masks, draws, words, logits):  # type: ignore[no-untyped-def]
+    net = _agents_at(networks)
+    agents = net.agents
+    n = len(words) // agents
+    rows = elements.reshape((len(words), len(elements) // len(words)))
+    own = np.empty((n, rows.shape[1]), np.uint8)
+    own_masks = np.empty((n if len(masks) else 0, masks.shape[1]), np.int8)
+    own_draws = np.empty((n, draws.shape[1]), np.uint32)
+    own_words = np.empty((n, words.shape[1]), np.int64)
+    own_logits = np.empty((n if len(logits) else 0, logits.shape[1]), np.int32)
+    for agent in range(agents):
+        _take_every(rows, agent, agents, own)
+        _take_every(masks, agent, agents, own_masks)
+        _take_every(draws, agent, agents, own_draws)
+        arguments = net.memory[agent], own.reshape(-1), own_masks, own_draws, own_words, own_logits
+        call_act(net.acts[agent], arguments)
+        _give_every(own_words, agent, agents, words)
+        _give_every(own_logits, agent, agents, logits)
+
+
+compiled_act_apart = compiled_loop(_act_apart, addresses)
+
+
+def compiled_apart(networks: AgentNetworks, elements: np.dtype[Any]) -> CompiledPolicy | None:
+    """Return the networks of a world's agents as :func:`compiled` does a network.
+
+    ``None``, if one of them tells agents apart: it takes all agents of a world at a time.
+    """
+    if any(len(network.indicator) for network in networks.networks):
+        return None
+    each = [compiled(network, elements) for network in networks.networks]
+    acts, memory = ([of[k] for of in (network.arguments for network in each)] for k in (0, 1))
+    fields = AgentFields(len(each), np.array(acts), np.array(memory))
+    act = address_of(compiled_act_apart(), *ACT_ARGUMENTS)
+    return CompiledPolicy(act, in_memory(fields), networks.draws, (fields, each))

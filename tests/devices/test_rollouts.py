@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from dataclasses import replace
 from typing import Any
 from unittest import mock
 
@@ -14,8 +15,10 @@ import pearl_marl
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.devices import BatchConfig, Device, Native, Sharded, rollouts
 from pearl_marl.devices.base import Phase
+from pearl_marl.devices.native_rollout import compiled_policy
+from pearl_marl.devices.rollouts import element_dtype
 from pearl_marl.errors import ArgumentError, DeviceError, OrderError
-from pearl_marl.policies.integer_network import IntegerNetwork
+from pearl_marl.policies.integer_network import AgentNetworks, IntegerNetwork
 
 from ..policies.networks import random_network
 
@@ -100,6 +103,22 @@ def test_a_long_rollout_is_its_steps(name: str, n: int) -> None:
     fast, slow = opened(Native(), name, worlds), opened(Stepping(), name, worlds)
     assert_same(fast.rollout(policy, steps), slow.rollout(policy, steps))
     assert_same_place(fast, slow)
+
+
+@pytest.mark.parametrize("name", ["ConnectFour", "LevelBasedForaging", "SimpleTag"])
+def test_a_network_for_each_agent(name: str) -> None:
+    """With masks and turns, and worlds of four agents; in one loop, unless a network tells agents apart."""
+    every = [policy_for(name, seed) for seed in range(pearl_marl.get_spec(name).agents)]
+    telling = AgentNetworks(tuple(every))
+    policy = AgentNetworks(tuple(replace(network, indicator=network.indicator[:0]) for network in every))
+    elements = element_dtype(policy.form(policy.spec))
+    assert compiled_policy(policy, elements) is not None
+    assert (compiled_policy(telling, elements) is None) == any(len(network.indicator) for network in every)
+    for each in (policy, telling):
+        fast, slow = opened(Native(), name, 1_100), opened(Stepping(), name, 1_100)
+        assert_same(fast.rollout(each, 20, record=True), slow.rollout(each, 20, record=True))
+        assert_same(fast.rollout(each, 3), slow.rollout(each, 3))
+        assert_same_place(fast, slow)
 
 
 @pytest.mark.parametrize("mode", MODES)
