@@ -502,7 +502,10 @@ def _vectorised(spec: EnvSpec, count: int, mode: str) -> Step:
     name = _required(spec, "Gymnasium")
     module, _, env_id = name.rpartition(":")
     if module:  # registers it
-        importlib.import_module(module)
+        try:
+            importlib.import_module(module)
+        except ModuleNotFoundError as error:
+            raise UnavailableError(f"not installed: pip install {error.name}") from None
     if mode == "vector_entry_point" and gymnasium.spec(env_id).vector_entry_point is None:
         raise UnavailableError(f"Gymnasium has no vectorised {env_id}")
     envs = gymnasium.make_vec(name, num_envs=count, vectorization_mode=mode, **dict(spec.options))

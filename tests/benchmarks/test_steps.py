@@ -17,7 +17,6 @@ from pearl_marl import get_spec
 from pearl_marl.benchmark import peers, steps, tables
 from pearl_marl.benchmark.measure import Contender, Game, UnavailableError, measure
 from pearl_marl.cli import bench
-from pearl_marl.envs import names
 
 from ..sampling import sampled
 from ..toy_world import MEADOW
@@ -53,6 +52,14 @@ def test_processes_of_a_peer_end_with_the_measurement() -> None:
     list(measure([Contender("async", "", 2, make)], rounds=1, seconds=0))
     assert made[0].envs.closed
     assert not any(process.is_alive() for process in made[0].envs.processes)
+
+
+def test_a_peer_that_is_not_installed_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "minigrid", None)
+    monkeypatch.delitem(sys.modules, "pearl_marl.envs.mini_grid_oracle", raising=False)
+    contender = next(c for c in peers.peers(get_spec("MiniGridEmpty"), 2) if c.name.endswith("SyncVectorEnv"))
+    with pytest.raises(UnavailableError, match="not installed: pip install minigrid"):
+        contender.make()
 
 
 @pytest.mark.parametrize("name", sampled(PACKAGE, ("ConnectFour", "LevelBasedForaging")))
@@ -252,17 +259,14 @@ PEERS = [timed("step_batch", 1e6), timed("kernel only", 2e9), timed("EnvPool, sy
 def test_the_readme_has_the_tables_of_the_commands() -> None:
     """Their columns, and the names of their rows; the figures are of another day."""
     training = pytest.importorskip("pearl_marl.benchmark.training", exc_type=ImportError)
-    one, every, _, trainings = measured_tables()  # that of policy steps is put together from several commands
+    one, _, trainings = measured_tables()  # that of policy steps is put together from several commands
     for table, made in (
         (one, tables.steps_table(PEERS)),
-        (every, tables.environments_table([("CliffWalking", PEERS)])),
         (trainings, tables.training_table([])),
     ):
         assert table[:2] == [cells(line) for line in made.markdown().splitlines()[:2]]
     known = {c.name: c.counts for c in steps.contenders(get_spec("CliffWalking"), 8)}
     assert {row[0]: row[-1] for row in one[2:]}.items() <= known.items()
-    measured = [row[0] for row in every[2:]]
-    assert measured == [name for name in names() if name in measured]
     trainers = {trainer.name for trainer in training.TRAINERS}
     assert {row[0].rpartition(": ")[2] for row in trainings[2:]} <= trainers
 
