@@ -106,10 +106,10 @@ def _rates(result: dict[str, Any]) -> dict[str, Any]:
     peers = {name: found[name] for name in (ENVPOOL, *OTHER_PEERS) if name in found}
     best = max(peers, key=peers.__getitem__, default=None)
     return {
-        "kernel": found[KERNEL],
-        "step_batch": found[BATCH],
+        "kernel": round(found[KERNEL]),
+        "step_batch": round(found[BATCH]),
         "peer": best and OTHER_PEERS.get(best, "EnvPool"),
-        "peer_rate": best and peers[best],
+        "peer_rate": best and round(peers[best]),
     }
 
 
