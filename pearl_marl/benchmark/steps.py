@@ -19,6 +19,7 @@ from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import on_host
 from pearl_marl.benchmark.measure import Contender, Game, Step, UnavailableError
 from pearl_marl.benchmark.peers import peers
+from pearl_marl.benchmark.tables import BATCH, ENVPOOL, KERNEL, OTHER_PEERS
 from pearl_marl.compiler import cuda_kernels
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices import BatchConfig, Cuda, Device, Native, Rtl, cuda
@@ -69,6 +70,11 @@ def contenders(spec: EnvSpec, n: int) -> list[Contender]:
         ),
         *peers(spec, n),
     ]
+
+
+def compared(spec: EnvSpec, n: int) -> list[Contender]:
+    """Return those of the contenders that the table of all environments has."""
+    return [one for one in contenders(spec, n) if one.name in (KERNEL, BATCH, ENVPOOL, *OTHER_PEERS)]
 
 
 def _kernel(spec: EnvSpec, actions: Array) -> Step:

@@ -15,12 +15,9 @@ from rich.table import Table
 from pearl_marl.benchmark import rollouts
 from pearl_marl.benchmark.growth import COUNTS, SUBJECTS, growth
 from pearl_marl.benchmark.measure import Contender, measure
-from pearl_marl.benchmark.steps import contenders
+from pearl_marl.benchmark.steps import compared, contenders
 from pearl_marl.benchmark.tables import (
-    BATCH,
-    ENVPOOL,
     KERNEL,
-    OTHER_PEERS,
     duration,
     environments_table,
     growth_table,
@@ -254,7 +251,7 @@ def _every(
     for name in names():
         spec = common.spec_of(name, None)
         count = common.agents_of(spec, n_agents)
-        rows = [c for c in contenders(spec, count) if c.name in (KERNEL, BATCH, ENVPOOL, *OTHER_PEERS)]
+        rows = compared(spec, count)
         results.append(_measured(spec, count, rows, [], rounds, seconds))
         environments.append((spec.name, rows))
     if common.delivered(results, as_json, out, file):

@@ -13,8 +13,11 @@ from typing import Any
 def machine() -> dict[str, Any]:
     """Return the facts that make a figure repeatable: processor, cores, versions."""
     versions = {}
-    steps = "gymnasium", "pettingzoo", "envpool", "lbforaging", "overcooked-ai", "jaxmarl", "jax"
-    for package in ("pearl-marl", "numpy", "numba", *steps):
+    peers = (
+        *("gymnasium", "pettingzoo", "envpool", "lbforaging", "overcooked-ai", "jaxmarl", "jax"),
+        *("gymnax", "pgx", "jumanji", "bsuite", "MinAtar", "minigrid", "mpe2"),
+    )
+    for package in ("pearl-marl", "numpy", "numba", *peers):
         with suppress(metadata.PackageNotFoundError):
             versions[package] = metadata.version(package)
     return {
