@@ -228,14 +228,20 @@ def _core(core: dict[str, Any]) -> Iterator[str]:
 
 def _hardware(name: str) -> Iterator[str]:
     spec, known = get_spec(name), facts(name)
-    layout, timing = default_map(spec, SLOTS), elaboration.core_timing(spec)
+    latency, *sizes = design(spec)
     yield name
-    yield from _core(known["core"]) if known["core"] else (f"{timing.latency:,}", *("-",) * (len(CORE) - 1))
+    yield from _core(known["core"]) if known["core"] else (latency, *("-",) * (len(CORE) - 1))
+    yield from sizes
+    yield "-" if known["verified"] is None else f"{known['verified']['agent_steps']:,}"
+
+
+def design(spec: EnvSpec) -> tuple[str, ...]:
+    """Return the latency of a core, and of a design for 43,008 slots its sizes and the cycles of a step."""
+    layout, timing = default_map(spec, SLOTS), elaboration.core_timing(spec)
     words = max(layout["actions"].words, *(layout[result].words for result in RESULTS))
     bound, cycles = max(layout.groups * timing.interval, words), step_cycles(spec, layout)
-    yield from (f"{figure:,}" for figure in (layout.pe_num, layout.data_wl, bound, cycles))
-    yield f"+{100 * (cycles / (bound + timing.latency) - 1):.1f} %"
-    yield "-" if known["verified"] is None else f"{known['verified']['agent_steps']:,}"
+    figures = (timing.latency, layout.pe_num, layout.data_wl, bound, cycles)
+    return *(f"{figure:,}" for figure in figures), f"+{100 * (cycles / (bound + timing.latency) - 1):.1f} %"
 
 
 if __name__ == "__main__":
