@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import pytest
@@ -136,9 +135,10 @@ def test_default_sizes(spec: pearl_marl.EnvSpec, n_envs: int) -> None:
 
 
 def test_default_sizes_that_the_page_shows() -> None:
-    page = (Path(__file__).parents[1] / "docs" / "hardware.md").read_text()
-    row = re.compile(r"^\| ([A-Z]\w+) \| (\d+) \| (\d+) \| ([\d,]+) \| ([\d,]+) \| ([\d,]+) \|", re.MULTILINE)
-    shown = {name: [int(figure.replace(",", "")) for figure in rest] for name, *rest in row.findall(page)}
+    page = (Path(__file__).parents[1] / "docs" / "environment_figures.md").read_text()
+    lines = page.partition("## In hardware")[2].splitlines()[4:]
+    rows = [line[2:-2].replace(",", "").split(" | ") for line in lines]
+    shown = {name: [int(cells[column - 1]) for column in (1, 9, 10, 11, 12)] for name, *cells in rows}
     assert list(shown) == pearl_marl.list_envs()
     for name, (latency, pe_num, data_wl, bound, cycles) in shown.items():
         layout = default_map(pearl_marl.get_spec(name), 43_008)
