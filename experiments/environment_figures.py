@@ -65,14 +65,19 @@ def main(
             raise ArgumentError(f"{path} is not of a simulated device that agrees with its reference")
         worlds = result["n_agents"] // get_spec(result["environment"]).agents
         keep_fact(result["environment"], "verified", {"slots": worlds, "agent_steps": result["agent_steps"]})
-    print(tables())
+    print(f"{software()}\n\n{hardware()}")
 
 
-def tables() -> str:
-    """Return both tables and their headings, in Markdown."""
-    software = MeasuredTable(SOFTWARE.split(" | "), [[*_software(name)] for name in ours()], (0, 1, 2, 7))
-    hardware = MeasuredTable(HARDWARE.split(" | "), [[*_hardware(name)] for name in ours()])
-    return f"## In software\n\n{software.markdown()}\n\n## In hardware\n\n{hardware.markdown()}"
+def software() -> str:
+    """Return the first table and its heading, in Markdown."""
+    rows = [[*_software(name)] for name in ours()]
+    return f"## In software\n\n{MeasuredTable(SOFTWARE.split(' | '), rows, (0, 1, 2, 7)).markdown()}"
+
+
+def hardware() -> str:
+    """Return the second table and its heading, in Markdown; the compiler makes every core for it."""
+    rows = [[*_hardware(name)] for name in ours()]
+    return f"## In hardware\n\n{MeasuredTable(HARDWARE.split(' | '), rows).markdown()}"
 
 
 def ours() -> list[str]:

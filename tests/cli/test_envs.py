@@ -11,7 +11,7 @@ import pytest
 from pearl_marl import get_spec, list_envs
 from pearl_marl.benchmark.paper import TABLE_2
 from pearl_marl.cli.envs import markdown
-from pearl_marl.experiments.environment_figures import tables
+from pearl_marl.experiments.environment_figures import hardware, software
 from pearl_marl.spec import word_bits
 
 from ..toy import DRIFT, LADDER, SLIDE
@@ -28,11 +28,22 @@ def test_the_page_is_that_of_the_registry() -> None:
     assert text == markdown([get_spec(name) for name in list_envs()]), "make tables"
 
 
-def test_the_figures_are_those_of_the_folders() -> None:
+def page_of_figures() -> tuple[str, str]:
+    """Return its two tables, with their headings."""
     before, marker, text = (ROOT / "docs" / "environment_figures.md").read_text().partition(MARKER)
     assert before
     assert marker
-    assert text == f"{tables()}\n", "make tables"
+    first, heading, second = text.partition("\n\n## In hardware")
+    return first, f"{heading}{second}".strip()
+
+
+def test_the_figures_are_those_of_the_folders() -> None:
+    assert page_of_figures()[0] == software(), "make tables"
+
+
+@pytest.mark.exhaustive  # every core has to be made
+def test_the_figures_of_hardware_are_those_of_the_folders() -> None:
+    assert page_of_figures()[1] == hardware(), "make tables"
 
 
 @pytest.mark.parametrize("name", ["MiniGridMemory", "Pursuit"])
