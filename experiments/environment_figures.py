@@ -98,7 +98,10 @@ def keep_fact(name: str, what: str, value: Any) -> None:
 
 
 def _path(name: str) -> Path:
-    return FOLDER / snake_case(get_spec(name).name) / "facts.json"
+    path = FOLDER / snake_case(get_spec(name).name) / "facts.json"
+    if not path.exists():
+        raise ArgumentError(f"{name} has no facts: there is no {path}, as environments here have")
+    return path
 
 
 def _read(path: Path) -> Any:
