@@ -107,7 +107,7 @@ def main(
     elif environments:
         raise ArgumentError("names are of what to measure: give --measure core or --measure rates")
     else:
-        print(tables())
+        print(f"{software()}\n\n{hardware()}")
 
 
 def measured_core(spec: EnvSpec) -> dict[str, Any]:
@@ -161,11 +161,15 @@ def _keep_verified(result: dict[str, Any]) -> None:
     keep_fact(result["environment"], "verified", {"slots": worlds, "agent_steps": result["agent_steps"]})
 
 
-def tables() -> str:
-    """Return both tables and their headings, in Markdown."""
-    software = MeasuredTable(SOFTWARE, [[*_software(name)] for name in ours()], (0, 1, 2, 7)).markdown()
-    hardware = MeasuredTable(HARDWARE, [[*_hardware(name)] for name in ours()]).markdown()
-    return f"## In software\n\n{software}\n\n{_runs()}\n\n## In hardware\n\n{hardware}"
+def software() -> str:
+    """Return the first table, its heading, and where its rates were measured, in Markdown."""
+    rows = [[*_software(name)] for name in ours()]
+    return f"## In software\n\n{MeasuredTable(SOFTWARE, rows, (0, 1, 2, 7)).markdown()}\n\n{_runs()}".strip()
+
+
+def hardware() -> str:
+    """Return the second table and its heading, in Markdown; the compiler makes every core for it."""
+    return f"## In hardware\n\n{MeasuredTable(HARDWARE, [[*_hardware(name)] for name in ours()]).markdown()}"
 
 
 def ours() -> list[str]:
@@ -187,7 +191,10 @@ def keep_fact(name: str, what: str, value: Any) -> None:
 
 
 def _path(name: str) -> Path:
-    return FOLDER / snake_case(get_spec(name).name) / "facts.json"
+    folder = FOLDER / snake_case(get_spec(name).name)
+    if not folder.is_dir():
+        raise ArgumentError(f"{name} has no facts: there is no {folder}, as environments here have")
+    return folder / "facts.json"
 
 
 def _software(name: str) -> Iterator[str]:

@@ -44,7 +44,8 @@ def test_the_figures_are_those_of_the_folders(monkeypatch: pytest.MonkeyPatch) -
     }
     computed = environment_figures.design
     monkeypatch.setattr(environment_figures, "design", lambda spec: designs.get(spec.name) or computed(spec))
-    assert text == f"{environment_figures.tables()}\n", "make tables"
+    expected = f"{environment_figures.software()}\n\n{environment_figures.hardware()}\n"
+    assert text == expected, "make tables"
 
 
 @pytest.mark.parametrize("name", ["MiniGridMemory", "Pursuit"])

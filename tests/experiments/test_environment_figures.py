@@ -13,6 +13,7 @@ import pytest
 from pearl_marl import get_spec
 from pearl_marl.benchmark.measure import Contender, Step, UnavailableError
 from pearl_marl.benchmark.tables import BATCH, ENVPOOL, KERNEL
+from pearl_marl.errors import ArgumentError
 from pearl_marl.experiments import environment_figures as figures
 from pearl_marl.experiments.calling import call
 
@@ -39,7 +40,7 @@ def called(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> None:
 
 def test_of_a_new_environment_nothing_is_known(folder: Path) -> None:
     assert figures.facts("Taxi") == dict.fromkeys(figures.FACTS)
-    lines = figures.tables().splitlines()
+    lines = f"{figures.software()}\n{figures.hardware()}".splitlines()
     assert "| [Taxi](../envs/taxi/README.md#how-it-is-checked) | - | - | 124 | 12 | - | - | - | - |" in lines
     assert any(line.startswith("| Taxi | 4 | - | - | - | - | - | - | - | 64 |") for line in lines)
     figures.keep_fact("Taxi", "original", "Gymnasium 1.4.0")
@@ -91,10 +92,15 @@ def test_a_package_of_ones_own_is_measured_and_not_kept(
 def test_runs_are_told_apart(folder: Path) -> None:
     rates = {"kernel": 2, "step_batch": 1, "peer": None, "peer_rate": None, "absent": [], "machine": "A"}
     figures.keep_fact("Catch", "rates", rates | {"date": "2026-11-28"})
-    assert "\nRates of 2026-11-28: A.\n" in figures.tables()
+    assert figures.software().endswith("\n\nRates of 2026-11-28: A.")
     figures.keep_fact("Taxi", "rates", rates | {"date": "2026-11-30"})
-    text = figures.tables()
-    assert "\nRates of 2026-11-28: A. These are Catch.\n\nRates of 2026-11-30: A. These are Taxi.\n" in text
+    runs = "Rates of 2026-11-28: A. These are Catch.\n\nRates of 2026-11-30: A. These are Taxi."
+    assert figures.software().endswith(f"\n\n{runs}")
+
+
+def test_what_is_in_no_folder_has_no_facts(folder: Path) -> None:
+    with pytest.raises(ArgumentError, match="Acrobot has no facts"):
+        figures.keep_fact("Acrobot", "core", None)
 
 
 def test_names_are_of_what_to_measure(
