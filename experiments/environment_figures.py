@@ -58,8 +58,11 @@ FOLDER = Path(__file__).resolve().parents[1] / "envs"
 SLOTS = 43_008
 FAMILIES = (Family.XC7, Family.ECP5)
 PEERS = {ENVPOOL: "EnvPool"} | OTHER_PEERS
-FACTS = ("behaviour", "original", "transitions", "core", "verified", "rates")
-"""What stands in an environment's ``facts.json``; ``null`` is what nobody has measured."""
+FACTS = ("behaviour", "original", "transitions", "core", "verified", "rates", "pictures")
+"""What stands in an environment's ``facts.json``; ``null`` is what nobody has measured.
+
+``pictures`` is ``"NumPy"`` where pictures need no library, which a test holds it to.
+"""
 
 RATES = ("kernel", "step_batch", "best peer", "x")
 CORE = tuple(heading for family in FAMILIES for heading in (f"{family.value}: latency", "LUT", "FF", "DSP"))
