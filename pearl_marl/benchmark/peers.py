@@ -105,12 +105,12 @@ def peers(spec: EnvSpec, n: int) -> list[Contender]:
 
 
 @contextmanager
-def installed(package: str) -> Iterator[None]:
-    """Import what a package has; without the package, the contender is unavailable."""
+def installed(package: str | None = None) -> Iterator[None]:
+    """Import what a package has; without it, or what else is missing, the contender is unavailable."""
     try:
         yield
-    except ImportError:
-        raise UnavailableError(f"not installed: pip install {package}") from None
+    except ImportError as error:
+        raise UnavailableError(f"not installed: pip install {package or error.name}") from None
 
 
 @contextmanager
@@ -502,10 +502,8 @@ def _vectorised(spec: EnvSpec, count: int, mode: str) -> Step:
     name = _required(spec, "Gymnasium")
     module, _, env_id = name.rpartition(":")
     if module:  # registers it
-        try:
+        with installed():
             importlib.import_module(module)
-        except ModuleNotFoundError as error:
-            raise UnavailableError(f"not installed: pip install {error.name}") from None
     if mode == "vector_entry_point" and gymnasium.spec(env_id).vector_entry_point is None:
         raise UnavailableError(f"Gymnasium has no vectorised {env_id}")
     envs = gymnasium.make_vec(name, num_envs=count, vectorization_mode=mode, **dict(spec.options))
