@@ -30,6 +30,9 @@ PRODUCT_BITS = 16
 SUM_BITS = 32
 """Width of sums, sign included."""
 
+# Rows that go through all layers at once: what they become on the way stays in the processor's cache.
+_BLOCK = 512
+
 
 class Scaling(NamedTuple):
     """Elements become inputs: ``(element - offset) * multiplier >> shift``, cut at both limits."""
@@ -144,6 +147,13 @@ class IntegerNetwork(DevicePolicy):
 
     def sums(self, elements: Array, agents: Array) -> npt.NDArray[np.int32]:
         """Return what the last layer adds up, of shape ``(n, outputs)``."""
+        sums = np.empty((len(elements), len(self.layers[-1].bias)), np.int32)
+        for start in range(0, len(sums), _BLOCK):
+            rows = slice(start, start + _BLOCK)
+            sums[rows] = self._sums_of(elements[rows], agents[rows])
+        return sums
+
+    def _sums_of(self, elements: Array, agents: Array) -> Array:
         x, inputs = elements.reshape(len(elements), -1).astype(np.int64), self.inputs
         first: Array | int = 0
         match inputs:
@@ -154,16 +164,11 @@ class IntegerNetwork(DevicePolicy):
             case Rows():
                 first, x = inputs.table[x @ inputs.factors.T + inputs.first].sum(1, np.int64), x[:, :0]
             case Patches():
-                planes = (x >> inputs.element_shift).reshape(len(x), *inputs.shape)
-                patches = np.lib.stride_tricks.sliding_window_view(
-                    planes, (3, 3), (1, 2)
-                )  # (n, row, column, plane, 3, 3)
-                x = np.einsum("nrcpij,fijp->nrcf", patches, inputs.weights.astype(np.int64)) + inputs.bias
-                x = (x >> inputs.shift).clip(0, inputs.limit).reshape(len(x), -1)
+                x = (_patches(x >> inputs.element_shift, inputs) >> inputs.shift).clip(0, inputs.limit)
         if len(self.indicator):
             first = first + self.indicator[agents]
         for k, layer in enumerate(self.layers):
-            sums = x @ layer.weights.T.astype(np.int64) + layer.bias + first
+            sums = _products(x, layer.weights) + layer.bias + first
             first = 0
             if k + 1 < len(self.layers):
                 x = sums >> layer.shift
@@ -173,7 +178,7 @@ class IntegerNetwork(DevicePolicy):
                     )
                 else:
                     x = x.clip(0, layer.limit)
-        return sums.astype(np.int32)
+        return sums
 
     def _chosen(self, logits: Array, masks: Array | None, drawn: Array | None) -> Array:
         head = self.head
@@ -253,6 +258,26 @@ class AgentNetworks(DevicePolicy):
             if choice.logits is not None:
                 logits[own] = choice.logits
         return ActionChoice(words, logits if self.logits else None)
+
+
+# NumPy multiplies matrices of integers a number at a time, and those of floats by BLAS. That is exact here: sums
+# have 32 bits, and a double holds integers of 53.
+def _products(x: Array, weights: Array) -> npt.NDArray[np.int64]:
+    """Return ``x @ weights.T``."""
+    return (x.astype(np.float64) @ weights.T.astype(np.float64)).astype(np.int64)
+
+
+def _patches(x: Array, inputs: Patches) -> npt.NDArray[np.int64]:
+    """Return the sums of all patches of planes, of shape ``(n, patches * filters)``."""
+    (rows, columns, planes), filters = inputs.shape, len(inputs.bias)
+    elements = x.reshape(-1, planes).T.astype(np.float64)
+    sums = np.repeat(inputs.bias.astype(np.float64)[:, None], elements.shape[1], 1)
+    # A patch is counted at its first corner; those that would reach beyond a plane are left out at the end.
+    for i, j in np.ndindex(3, 3):
+        part, after = inputs.weights[:, i, j].astype(np.float64) @ elements, i * columns + j
+        sums[:, : sums.shape[1] - after] += part[:, after:]
+    whole = sums.reshape(filters, len(x), rows, columns)[:, :, : rows - 2, : columns - 2]
+    return whole.transpose(1, 2, 3, 0).reshape(len(x), -1).astype(np.int64)
 
 
 def table_network(spec: EnvSpec, values: Array) -> IntegerNetwork:

@@ -12,50 +12,17 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import pearl_marl
-from pearl_marl.batch.rollout import Rollout
-from pearl_marl.devices import BatchConfig, Device, Native, Sharded, rollouts
+from pearl_marl.devices import Device, Native, Sharded, rollouts
 from pearl_marl.devices.base import Phase
 from pearl_marl.devices.native_rollout import compiled_policy
 from pearl_marl.devices.rollouts import element_dtype
 from pearl_marl.errors import ArgumentError, DeviceError, OrderError
-from pearl_marl.policies.integer_network import AgentNetworks, IntegerNetwork
+from pearl_marl.policies.integer_network import AgentNetworks
 
-from ..policies.networks import random_network
+from .rolling import Stepping, assert_same, assert_same_place, opened, policy_for
 
 STEPS = 40
 MODES = AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP
-
-
-class Stepping(Native):
-    """Rolls out by single steps, with the policy in NumPy."""
-
-    def _rollout(self, *arguments: Any) -> Any:
-        return Device._rollout(self, *arguments)
-
-
-def opened(device: Device, name: str, n: int, **how: Any) -> Device:
-    spec = pearl_marl.get_spec(name)
-    device.open(BatchConfig(spec=spec, n_envs=n, **how))
-    device.reset(seed=3)
-    return device
-
-
-def policy_for(name: str, seed: int = 5) -> IntegerNetwork:
-    return random_network(pearl_marl.get_spec(name), seed)
-
-
-def assert_same(one: Rollout, other: Rollout) -> None:
-    for name, value in vars(one).items():
-        theirs = getattr(other, name)
-        assert (value is None) == (theirs is None), name
-        assert value is None or np.array_equal(value, theirs), name
-
-
-def assert_same_place(one: Device, other: Device) -> None:
-    assert one.snapshot().to_bytes() == other.snapshot().to_bytes()
-    assert np.array_equal(one.in_episode, other.in_episode)
-    if one.action_masks is not None:
-        assert np.array_equal(one.action_masks, other.action_masks)
 
 
 # Each takes seconds to compile.
@@ -89,19 +56,6 @@ def test_a_rollout_is_its_steps(name: str) -> None:
     assert_same(fast.rollout(policy, STEPS, record=True), slow.rollout(policy, STEPS, record=True))
     assert_same_place(fast, slow)
     assert_same(fast.rollout(policy, 3), slow.rollout(policy, 3))
-    assert_same_place(fast, slow)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("n", [1, 1_000, 43_008])
-@pytest.mark.parametrize("name", pearl_marl.list_envs())
-def test_a_long_rollout_is_its_steps(name: str, n: int) -> None:
-    """Over 1,000 steps; 43,008 agents with a large observation make 40, which take NumPy half a minute."""
-    policy = policy_for(name)
-    steps = 40 if n > 1_000 and np.prod(policy.spec.observation_space.shape or ()) > 64 else 1_000
-    worlds = -(-n // policy.spec.agents)
-    fast, slow = opened(Native(), name, worlds), opened(Stepping(), name, worlds)
-    assert_same(fast.rollout(policy, steps), slow.rollout(policy, steps))
     assert_same_place(fast, slow)
 
 

@@ -242,7 +242,7 @@ BACKBONES = {
     # One slot to a group, and rows that divide into words.
     "alone": Around(3, 1, 3, 8, 8, 8, draws=0, latency=1, interval=1, pipelined=True, step_cycles=18),
     # A row of actions is more than a word, and so is one of states.
-    "wide": Around(5, 3, 20, 12, 5, 1, draws=1, latency=2, interval=1, pipelined=True, step_cycles=25),
+    "wide": Around(5, 3, 20, 12, 5, 1, draws=1, latency=2, interval=1, pipelined=True, step_cycles=26),
     "groups": Around(7, 2, 3, 2, 12, 2, draws=2, latency=2, interval=1, pipelined=True, step_cycles=27),
     # Agents that end one by one.
     "world": Around(

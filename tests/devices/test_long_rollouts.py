@@ -1,0 +1,90 @@
+"""Rollouts of 1,000 steps are as many single steps, of every environment, on devices of every kind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import pearl_marl
+from pearl_marl.devices import Device, Lockstep, Native, Rtl, Sharded
+from pearl_marl.devices.ray import Ray
+from pearl_marl.errors import ArgumentError
+from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.engines import with_engine
+
+from .rolling import Stepping, assert_same, assert_same_place, opened, policy_for
+
+pytestmark = pytest.mark.exhaustive
+
+STEPS = 1_000
+
+ON_THE_CPU: list[Callable[[], Device]] = [
+    lambda: Native(threads=1),
+    lambda: Lockstep(Native(threads=2), Sharded([Native(threads=1), Native(threads=1)])),
+]
+"""Devices whose rollouts are one call; lockstep compares what both of its devices did."""
+
+
+@pytest.mark.parametrize("n_agents", [1, 1_000, 43_008])
+@pytest.mark.parametrize("name", pearl_marl.list_envs())
+def test_one_call_is_single_steps(name: str, n_agents: int) -> None:
+    policy = policy_for(name)
+    worlds = -(-n_agents // policy.spec.agents)
+    slow = opened(Stepping(), name, worlds)
+    due = slow.rollout(policy, STEPS)
+    for make in ON_THE_CPU:
+        device = make()
+        if worlds > 1 or not isinstance(device, Lockstep):
+            fast = opened(device, name, worlds)
+            assert_same(fast.rollout(policy, STEPS), due)
+            assert_same_place(fast, slow)
+            fast.close()
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP])
+@pytest.mark.parametrize("how", [{}, {"max_cycles": 37}, {"initial_states": "stored"}])
+@pytest.mark.parametrize("name", pearl_marl.list_envs())
+def test_limits_starts_and_resets(name: str, how: dict[str, Any], mode: AutoresetMode) -> None:
+    policy = policy_for(name)
+    n, how = -(-1_000 // policy.spec.agents), how | {"autoreset_mode": mode}
+    slow = opened(Stepping(), name, n, **how)
+    due = slow.rollout(policy, STEPS)
+    for make in ON_THE_CPU:
+        fast = opened(make(), name, n, **how)
+        assert_same(fast.rollout(policy, STEPS), due)
+        assert_same_place(fast, slow)
+        fast.close()
+
+
+@pytest.mark.usefixtures("ray_cluster")
+@pytest.mark.parametrize("name", ["CliffWalking", "ConnectFour", "LevelBasedForaging", "Seaquest"])
+def test_in_a_cluster(name: str) -> None:
+    policy = policy_for(name)
+    n = -(-43_008 // policy.spec.agents)
+    shared, alone = opened(Ray(["native", "native"]), name, n), opened(Native(), name, n)
+    assert_same(shared.rollout(policy, STEPS), alone.rollout(policy, STEPS))
+    assert_same_place(shared, alone)
+    shared.close()
+
+
+@pytest.mark.parametrize("name", pearl_marl.list_envs())
+def test_in_simulated_hardware(name: str) -> None:
+    """By the policy engine, of those policies that one takes, else through the host."""
+    policy, n = policy_for(name), 3
+    build = Build.of(policy.spec, n)
+    with suppress(ArgumentError):  # which says why no engine takes the policy
+        build = with_engine(build, policy)
+    layout = build.layout
+    hardware = opened(Rtl(layout.pe_num, layout.data_wl, engine=layout.engine), name, n)
+    slow = opened(Stepping(), name, n)
+    found, due = hardware.rollout(policy, STEPS), slow.rollout(policy, STEPS)
+    assert (found.episodes, found.truncated.sum()) == (due.episodes, due.truncated.sum())
+    assert found.lengths.sum() == due.lengths.sum()
+    assert found.returns.sum() == pytest.approx(due.returns.sum(), rel=1e-12)
+    assert np.array_equal(hardware.snapshot().memory, slow.snapshot().memory)
+    hardware.close()
