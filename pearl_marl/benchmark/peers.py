@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import importlib
 import io
 import random
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from functools import partial
@@ -38,6 +39,15 @@ ENVPOOL_GAMES = {
     "KuhnPoker": "KuhnPoker-v1",
     "LeducPoker": "LeducHoldem-v1",
     "LevelBasedForaging": "LevelBasedForaging-v0",
+    "MiniGridDoorKey": "MiniGrid-DoorKey-8x8-v0",
+    "MiniGridDynamicObstacles": "MiniGrid-Dynamic-Obstacles-8x8-v0",
+    "MiniGridEmpty": "MiniGrid-Empty-8x8-v0",
+    "MiniGridFourRooms": "MiniGrid-FourRooms-v0",
+    "MiniGridKeyCorridor": "MiniGrid-KeyCorridorS3R1-v0",
+    "MiniGridLavaGap": "MiniGrid-LavaGapS7-v0",
+    "MiniGridMemory": "MiniGrid-MemoryS13-v0",
+    "Minesweeper": "Jumanji/Minesweeper-v0",
+    "Othello": "Othello-v1",
     "RobotWarehouse": "RobotWarehouse-v0",
     "Snake": "Jumanji/Snake-v1",
     "TicTacToe": "TicTacToe-v1",
@@ -137,6 +147,14 @@ def _actions(spec: EnvSpec, count: int, dtype: Any) -> npt.NDArray[Any]:
     return random_actions(spec, np.random.default_rng(0), count).astype(dtype)
 
 
+def _actions_of_jumanji(spec: EnvSpec, count: int, dtype: Any) -> npt.NDArray[Any]:
+    """Return actions as Jumanji's games take them: of a mine field, row and column."""
+    actions = _actions(spec, count, dtype)
+    if spec.name != "Minesweeper":
+        return actions
+    return np.stack(np.divmod(actions, spec.options["num_cols"]), 1)
+
+
 def _required(spec: EnvSpec, package: str) -> str:
     """Return the name under which Gymnasium has the environment."""
     if spec.oracle is None:
@@ -194,7 +212,7 @@ def _envpool(spec: EnvSpec, n: int) -> Step | Game:
         obs, infos = envs.reset()
         if spec.agents > 1:
             return _envpool_worlds(envs, obs, infos)
-        actions = _actions(spec, n, envs.action_space.dtype)
+        actions = _actions_of_jumanji(spec, n, envs.action_space.dtype)
     return lambda: envs.step(actions)
 
 
@@ -301,9 +319,9 @@ def _pettingzoo(spec: EnvSpec, count: int, module: str) -> Game:
     return Game(choose, step)
 
 
-def _mpe2(spec: EnvSpec, count: int, module: str) -> Step:
-    with installed("mpe2"):
-        parallel_env = importlib.import_module(f"mpe2.{module}.{module}").parallel_env
+def _parallel_env(spec: EnvSpec, count: int, module: str) -> Step:
+    with installed():
+        parallel_env = importlib.import_module(module).parallel_env
     worlds = [parallel_env(max_cycles=spec.max_cycles, **spec.options) for _ in range(count // spec.agents)]
     for i, world in enumerate(worlds):
         world.reset(seed=i)
@@ -449,9 +467,18 @@ def _bsuite(spec: EnvSpec, count: int) -> Step:
 def _jumanji(spec: EnvSpec, count: int) -> Step:
     with installed("jumanji"):
         import jax
-        from jumanji.environments import Game2048
+        from jumanji.environments import Game2048, Minesweeper, Snake
+        from jumanji.environments.logic.minesweeper.generator import UniformSamplingGenerator
         from jumanji.wrappers import VmapAutoResetWrapper
-    env, actions = VmapAutoResetWrapper(Game2048(**spec.options)), _actions(spec, count, np.int32)
+    actions = _actions_of_jumanji(spec, count, np.int32)
+    match spec.name:
+        case "Minesweeper":
+            game = Minesweeper(UniformSamplingGenerator(**spec.options))
+        case "Snake":
+            game = Snake(**spec.options)
+        case _:
+            game = Game2048(**spec.options)
+    env = VmapAutoResetWrapper(game)
     last = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), count))
     compiled = jax.jit(env.step)
 
@@ -462,11 +489,48 @@ def _jumanji(spec: EnvSpec, count: int) -> Step:
     return step
 
 
+def _inventory(spec: EnvSpec, count: int) -> Step:
+    with installed("or-gymnasium"):
+        from or_gymnasium import InvManagementLostSalesEnv
+    return _one_by_one([InvManagementLostSalesEnv() for _ in range(count)], _actions(spec, count, np.int64))
+
+
+def _elevators(spec: EnvSpec, count: int) -> Step:
+    with installed("pyRDDLGym rddlrepository"), silence():
+        import pyRDDLGym
+
+        importlib.import_module("rddlrepository")
+        game = pyRDDLGym.make("Elevators_MDP_ippc2011", str(spec.options["instance"]))
+    kinds = "move-current-dir", "open-door-going-up", "open-door-going-down", "close-door"
+    actions = [
+        {f"{kinds[kind - 1]}___e{car}": True for car, kind in enumerate(row) if kind}
+        for row in _actions(spec, count, np.int64)
+    ]
+    # It is read and translated anew each time that it is made, which takes half a second.
+    return _one_by_one([copy.deepcopy(game) for _ in range(count)], actions)
+
+
+def _one_by_one(envs: list[Any], actions: Iterable[Any]) -> Step:
+    """Return the step of environments of Gymnasium's kind, each of which begins again when it ends."""
+    pairs = list(zip(envs, actions, strict=True))
+    for env in envs:
+        env.reset()
+
+    def step() -> None:
+        for env, action in pairs:
+            _, _, terminated, truncated, _ = env.step(action)
+            if terminated or truncated:
+                env.reset()
+
+    return step
+
+
 _OF_GYMNAX = ("gymnax", "all result arrays; JAX, compiled, on all cores", _gymnax)
 _OF_GYMNAX_DEFAULT = ("gymnax", "all result arrays, default options; JAX, compiled, on all cores", _gymnax)
 _OF_PGX = ("pgx", "all result arrays, default options; JAX, compiled, on all cores", _pgx)
+_OF_JUMANJI = ("jumanji", "all result arrays; JAX, compiled, on all cores", _jumanji)
 _OF_BSUITE = ("bsuite", "observations, rewards, ends; Python, one thread", _bsuite)
-_MPE2 = "five dicts; Python, one thread"
+_FIVE_DICTS = "five dicts; Python, one thread"
 _ONE_PLAYER = "observation, mask, reward, end of one player; no wrappers that check; Python, one thread"
 PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]] = {
     "Acrobot": [_OF_GYMNAX_DEFAULT],
@@ -476,20 +540,27 @@ PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]
     "CoinGame": [("jaxmarl", "all result arrays; JAX, compiled, on all cores", _coin_game)],
     "ConnectFour": [("PettingZoo connect_four_v3", _ONE_PLAYER, partial(_pettingzoo, module="connect_four"))],
     "DeepSea": [_OF_GYMNAX_DEFAULT, _OF_BSUITE],
+    "Elevators": [("pyRDDLGym", "observations, rewards, ends; Python, one thread", _elevators)],
     "Freeway": [_OF_GYMNAX_DEFAULT, _OF_PGX],
-    "Game2048": [("jumanji", "all result arrays; JAX, compiled, on all cores", _jumanji)],
+    "Game2048": [_OF_JUMANJI],
+    "Inventory": [("or-gymnasium", "observations, rewards, ends; Python, one thread", _inventory)],
     "KuhnPoker": [_OF_PGX],
     "LeducPoker": [_OF_PGX],
     "LevelBasedForaging": [("lbforaging", "observations, rewards, ends; Python, one thread", _foraging)],
     "MemoryChain": [_OF_GYMNAX, _OF_BSUITE],
+    "Minesweeper": [_OF_JUMANJI],
     "MountainCarContinuous": [_OF_GYMNAX],
     "Othello": [_OF_PGX],
     "Overcooked": [("overcooked-ai", "observations, rewards, ends; Python, one thread", _overcooked)],
     "Seaquest": [_OF_GYMNAX_DEFAULT, _OF_PGX],
-    "SimpleSpread": [("MPE2", _MPE2, partial(_mpe2, module="simple_spread"))],
-    "SimpleTag": [("MPE2", _MPE2, partial(_mpe2, module="simple_tag"))],
+    "SimpleSpread": [("MPE2", _FIVE_DICTS, partial(_parallel_env, module="mpe2.simple_spread_v3"))],
+    "SimpleTag": [("MPE2", _FIVE_DICTS, partial(_parallel_env, module="mpe2.simple_tag_v3"))],
+    "Snake": [_OF_JUMANJI],
     "SpaceInvaders": [_OF_GYMNAX_DEFAULT, _OF_PGX],
     "TicTacToe": [("PettingZoo tictactoe_v3", _ONE_PLAYER, partial(_pettingzoo, module="tictactoe"))],
+    "Pursuit": [
+        ("PettingZoo pursuit_v5", _FIVE_DICTS, partial(_parallel_env, module="pettingzoo.sisl.pursuit_v5"))
+    ],
     "RobotWarehouse": [("rware", "observations, rewards, ends; Python, one thread", _warehouse)],
 }
 """Packages that have our games, by our names of these: name, what is counted, and its step."""

@@ -20,10 +20,13 @@ OTHER_PEERS = {
     "jaxmarl": "JaxMARL",
     "jumanji": "jumanji",
     "lbforaging": "lbforaging",
+    "or-gymnasium": "or-gymnasium",
     "overcooked-ai": "overcooked-ai",
     "PettingZoo connect_four_v3": "PettingZoo",
+    "PettingZoo pursuit_v5": "PettingZoo",
     "PettingZoo tictactoe_v3": "PettingZoo",
     "pgx": "pgx",
+    "pyRDDLGym": "pyRDDLGym",
 }
 """The peers besides EnvPool in the table of all environments: contenders, and the words for them there."""
 

@@ -15,7 +15,7 @@ def machine() -> dict[str, Any]:
     versions = {}
     peers = (
         *("gymnasium", "pettingzoo", "envpool", "lbforaging", "overcooked-ai", "jaxmarl", "jax"),
-        *("gymnax", "pgx", "jumanji", "bsuite", "MinAtar", "minigrid", "mpe2"),
+        *("gymnax", "pgx", "jumanji", "bsuite", "MinAtar", "minigrid", "mpe2", "or-gymnasium", "pyRDDLGym"),
     )
     for package in ("pearl-marl", "numpy", "numba", *peers):
         with suppress(metadata.PackageNotFoundError):

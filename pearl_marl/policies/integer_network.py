@@ -30,8 +30,8 @@ PRODUCT_BITS = 16
 SUM_BITS = 32
 """Width of sums, sign included."""
 
-# Rows that go through all layers at once: what they become on the way stays in the processor's cache.
-_BLOCK = 512
+# Elements that go through all layers at once: what they become on the way stays in the processor's cache.
+_BLOCK = 1 << 15
 
 
 class Scaling(NamedTuple):
@@ -148,8 +148,9 @@ class IntegerNetwork(DevicePolicy):
     def sums(self, elements: Array, agents: Array) -> npt.NDArray[np.int32]:
         """Return what the last layer adds up, of shape ``(n, outputs)``."""
         sums = np.empty((len(elements), len(self.layers[-1].bias)), np.int32)
-        for start in range(0, len(sums), _BLOCK):
-            rows = slice(start, start + _BLOCK)
+        at_once = max(1, _BLOCK // self.spec.observation_size)
+        for start in range(0, len(sums), at_once):
+            rows = slice(start, start + at_once)
             sums[rows] = self._sums_of(elements[rows], agents[rows])
         return sums
 
@@ -260,8 +261,8 @@ class AgentNetworks(DevicePolicy):
         return ActionChoice(words, logits if self.logits else None)
 
 
-# NumPy multiplies matrices of integers a number at a time, and those of floats by BLAS. That is exact here: sums
-# have 32 bits, and a double holds integers of 53.
+# NumPy multiplies matrices of integers a number at a time, and those of floats by BLAS. That is exact: sums
+# have 32 bits, and a double holds integers of 53, a float those of 24.
 def _products(x: Array, weights: Array) -> npt.NDArray[np.int64]:
     """Return ``x @ weights.T``."""
     return (x.astype(np.float64) @ weights.T.astype(np.float64)).astype(np.int64)
@@ -270,12 +271,15 @@ def _products(x: Array, weights: Array) -> npt.NDArray[np.int64]:
 def _patches(x: Array, inputs: Patches) -> npt.NDArray[np.int64]:
     """Return the sums of all patches of planes, of shape ``(n, patches * filters)``."""
     (rows, columns, planes), filters = inputs.shape, len(inputs.bias)
-    elements = x.reshape(-1, planes).T.astype(np.float64)
-    sums = np.repeat(inputs.bias.astype(np.float64)[:, None], elements.shape[1], 1)
+    most = np.abs(inputs.weights.astype(np.int64)).sum((1, 2, 3)).max() * x.max(initial=0)
+    dtype = np.float32 if most + np.abs(inputs.bias.astype(np.int64)).max() < 1 << 24 else np.float64
+    weights = inputs.weights.transpose(1, 2, 0, 3).reshape(-1, planes).astype(dtype)
+    parts = (weights @ x.reshape(-1, planes).T.astype(dtype)).reshape(9, filters, -1)
+    sums = np.repeat(inputs.bias.astype(dtype)[:, None], parts.shape[2], 1)
     # A patch is counted at its first corner; those that would reach beyond a plane are left out at the end.
-    for i, j in np.ndindex(3, 3):
-        part, after = inputs.weights[:, i, j].astype(np.float64) @ elements, i * columns + j
-        sums[:, : sums.shape[1] - after] += part[:, after:]
+    for k in range(9):
+        after = k // 3 * columns + k % 3
+        sums[:, : sums.shape[1] - after] += parts[k, :, after:]
     whole = sums.reshape(filters, len(x), rows, columns)[:, :, : rows - 2, : columns - 2]
     return whole.transpose(1, 2, 3, 0).reshape(len(x), -1).astype(np.int64)
 
