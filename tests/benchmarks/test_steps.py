@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import pearl_marl
 from pearl_marl import get_spec
 from pearl_marl.benchmark import peers, steps, tables
 from pearl_marl.benchmark.measure import Contender, Game, UnavailableError, measure
@@ -137,7 +138,7 @@ def test_worlds_of_mpe_begin_again(
     """At its time limit a world of MPE2's loses its agents, and a step of none would cost nothing."""
     spec = get_spec(name).with_options(**options)
     package = {"SimpleSpread": "simple_spread", "SimpleTag": "simple_tag"}[name]
-    module = pytest.importorskip(f"mpe2.{package}.{package}")
+    module = pytest.importorskip(f"mpe2.{package}_v3")
     make, worlds = module.parallel_env, []
     monkeypatch.setattr(module, "parallel_env", lambda **wanted: worlds.append(make(**wanted)) or worlds[-1])
     contender = {one.name: one for one in peers.peers(spec, 3 * spec.agents)}["MPE2"]
@@ -193,6 +194,52 @@ def test_packages_that_need_an_environment_of_their_own(
     assert by_name[package].n == {"overcooked-ai": 1024, "jaxmarl": 8000}[package]
     with pytest.raises(UnavailableError, match=f"pip install {package}"):
         by_name[package].make()
+
+
+def test_what_envpool_has_of_ours_is_a_peer() -> None:
+    """Under whatever id; its games of Atari are others."""
+    envpool = pytest.importorskip("envpool")
+
+    ours = {name.lower(): name for name in pearl_marl.list_envs()}
+    atari = {f"{name}-v5" for name in ours.values()}
+    found = set()
+    for known in set(envpool.list_all_envs()) - atari:
+        theirs = known.rpartition("/")[2].replace("-", "").lower()
+        found |= {name for own, name in ours.items() if theirs.startswith(own)}
+    assert {"MiniGridMemory", "Minesweeper", "Othello", "Snake"} <= found
+    for name in found:
+        spec = get_spec(name)
+        peers.envpool_of(spec, 4 * spec.agents)
+
+
+@pytest.mark.parametrize("name", ["MiniGridMemory", "Minesweeper", "Othello"])
+def test_envpool_under_another_name(name: str) -> None:
+    pytest.importorskip("envpool")
+    contender = peers.peers(get_spec(name), 4)[0]
+    step = contender.make()
+    if isinstance(step, Game):
+        step.step(step.choose())
+    else:
+        step()
+
+
+def test_peers_begin_again_when_they_end() -> None:
+    class Counting:
+        left, begun = 0, 0
+
+        def reset(self) -> None:
+            self.left, self.begun = 3, self.begun + 1
+
+        def step(self, action: int) -> tuple[Any, ...]:
+            assert (action, self.left > 0) == (7, True)
+            self.left -= 1
+            return None, 0.0, self.left == 0, False, {}
+
+    envs = [Counting(), Counting()]
+    step = peers._one_by_one(envs, [7, 7])
+    for _ in range(7):
+        step()
+    assert [env.begun for env in envs] == [3, 3]
 
 
 def test_other_worlds_have_no_peers() -> None:
