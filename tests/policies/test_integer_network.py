@@ -11,9 +11,10 @@ import pytest
 import pearl_marl
 from pearl_marl.compiler.addresses import in_memory
 from pearl_marl.errors import ArgumentError
+from pearl_marl.policies import integer_network
 from pearl_marl.policies.device_policy import Array
 from pearl_marl.policies.integer_loops import TILE, compiled_act, prepared
-from pearl_marl.policies.integer_network import Dense, Head, IntegerNetwork, Scaling
+from pearl_marl.policies.integer_network import Dense, Head, IntegerNetwork, Patches, Scaling
 from pearl_marl.spec import EnvSpec
 from pearl_marl.spec.elements import bounds
 
@@ -107,6 +108,20 @@ def check_compiled(network: IntegerNetwork) -> None:
     assert np.array_equal(words, choice.words)
     assert choice.logits is None or np.array_equal(logits, choice.logits)
     assert len(np.unique(words)) > 1
+
+
+@pytest.mark.parametrize("least", [100, 32000])
+def test_patches_in_numpy_are_exact(least: int) -> None:
+    """Sums of weights of 16 bits and elements up to 255 are more than a float of 32 bits holds."""
+    rng = np.random.default_rng(2)
+    weights = rng.integers(least, least + 28, (5, 3, 3, 3)).astype(np.int16)
+    inputs = Patches((7, 7, 3), weights, rng.integers(-400, 400, 5).astype(np.int32), 0, 1)
+    planes = rng.integers(200, 256, (50, 7, 7, 3))
+    expected = np.zeros((50, 5, 5, 5), np.int64) + inputs.bias
+    for i, j in np.ndindex(3, 3):
+        expected += planes[:, i : i + 5, j : j + 5] @ weights[:, i, j].T.astype(np.int64)
+    assert (expected.max() > 1 << 24) == (least > 100)
+    assert np.array_equal(integer_network._patches(planes, inputs), expected.reshape(50, -1))
 
 
 def test_chances_are_as_the_weights_say() -> None:
