@@ -558,9 +558,7 @@ PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]
     "Snake": [_OF_JUMANJI],
     "SpaceInvaders": [_OF_GYMNAX_DEFAULT, _OF_PGX],
     "TicTacToe": [("PettingZoo tictactoe_v3", _ONE_PLAYER, partial(_pettingzoo, module="tictactoe"))],
-    "Pursuit": [
-        ("PettingZoo pursuit_v5", _FIVE_DICTS, partial(_parallel_env, module="pettingzoo.sisl.pursuit_v5"))
-    ],
+    "Pursuit": [("PettingZoo", _FIVE_DICTS, partial(_parallel_env, module="pettingzoo.sisl.pursuit_v5"))],
     "RobotWarehouse": [("rware", "observations, rewards, ends; Python, one thread", _warehouse)],
 }
 """Packages that have our games, by our names of these: name, what is counted, and its step."""

@@ -23,7 +23,7 @@ OTHER_PEERS = {
     "or-gymnasium": "or-gymnasium",
     "overcooked-ai": "overcooked-ai",
     "PettingZoo connect_four_v3": "PettingZoo",
-    "PettingZoo pursuit_v5": "PettingZoo",
+    "PettingZoo": "PettingZoo",
     "PettingZoo tictactoe_v3": "PettingZoo",
     "pgx": "pgx",
     "pyRDDLGym": "pyRDDLGym",

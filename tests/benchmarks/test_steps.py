@@ -206,13 +206,13 @@ def test_what_envpool_has_of_ours_is_a_peer() -> None:
     for known in set(envpool.list_all_envs()) - atari:
         theirs = known.rpartition("/")[2].replace("-", "").lower()
         found |= {name for own, name in ours.items() if theirs.startswith(own)}
-    assert {"MiniGridMemory", "Minesweeper", "Othello", "Snake"} <= found
+    assert {"MiniGridEmpty", "Minesweeper", "Othello", "Snake"} <= found
     for name in found:
         spec = get_spec(name)
         peers.envpool_of(spec, 4 * spec.agents)
 
 
-@pytest.mark.parametrize("name", ["MiniGridMemory", "Minesweeper", "Othello"])
+@pytest.mark.parametrize("name", ["MiniGridEmpty", "Minesweeper", "Othello"])
 def test_envpool_under_another_name(name: str) -> None:
     pytest.importorskip("envpool")
     contender = peers.peers(get_spec(name), 4)[0]
