@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import gc
 import random
+import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import pytest
 
+from pearl_marl import get_spec
 from pearl_marl.errors import ArgumentError
+from pearl_marl.golden.tracing import rewriting
 from pearl_marl.golden.tracing.graph import Graph
 from pearl_marl.golden.tracing.nodes import arrays, values
 from pearl_marl.golden.tracing.trace import trace
@@ -276,3 +281,35 @@ def test_graphs_of_arrays_are_exact_beyond_64_bits() -> None:
     given = [0, 1, (1 << 60) - 1, 987654321987654321]
     found = arrays(nodes, {"word": np.array(given)})
     assert [a.tolist() for a in found] == [[x * 13 >> 60 for x in given], [x * 13 & 255 for x in given]]
+
+
+def test_threads_trace_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where another one goes on while a file is parsed, as it may when garbage is collected."""
+
+    class Garbage:
+        def __init__(self) -> None:
+            self.itself = self
+
+        def __del__(self) -> None:
+            sum(range(300))
+
+    class Forgetful(dict[Any, Any]):
+        def __contains__(self, key: object) -> bool:
+            return False
+
+    def rewrite(name: str) -> None:
+        for _ in range(50):
+            Garbage()
+        rewriting.rewritten.__wrapped__(get_spec(name).golden.step.__code__)
+
+    monkeypatch.setattr(rewriting, "_PARSED", Forgetful())
+
+    threshold, interval = gc.get_threshold(), sys.getswitchinterval()
+    try:
+        gc.set_threshold(20)
+        sys.setswitchinterval(1e-6)
+        with ThreadPoolExecutor(4) as pool:
+            list(pool.map(rewrite, ["CartPole", "Taxi", "LevelBasedForaging", "Acrobot"] * 10))
+    finally:
+        gc.set_threshold(*threshold)
+        sys.setswitchinterval(interval)

@@ -18,6 +18,7 @@ import functools
 import inspect
 import linecache
 import pickle
+import threading
 import types
 from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn, TypeVar
@@ -30,6 +31,10 @@ RUNTIME = "__pearl__"
 _FRAME = "_pearl_frame"
 
 _Node = TypeVar("_Node", bound=ast.AST)
+
+# CPython 3.11 counts how deep the trees of all threads are in one number, and parts of a batch are opened by
+# several threads: "AST constructor recursion depth mismatch", where the garbage collector ran in between.
+_ONE_AT_A_TIME = threading.RLock()
 
 
 class Refusal(ArgumentError):  # noqa: N818 - no error of its own, but one that is said already
@@ -49,6 +54,11 @@ def rewritten(code: types.CodeType) -> types.CodeType:
     if code.co_flags & (inspect.CO_COROUTINE | inspect.CO_ASYNC_GENERATOR):
         where = source_line(code.co_filename, code.co_firstlineno)
         raise Refusal(f"{where}: golden functions have no `async`")
+    with _ONE_AT_A_TIME:
+        return _rewritten(code)
+
+
+def _rewritten(code: types.CodeType) -> types.CodeType:
     found = pickle.loads(pickle.dumps(_source_of(code)))  # a copy, in a fifth of the time of deepcopy()
     if found is None:
         return code
