@@ -109,7 +109,7 @@ def peers(spec: EnvSpec, n: int) -> list[Contender]:
             ("Gymnasium SyncVectorEnv", f"{arrays}; one thread", sync, partial(_vectorised, mode="sync")),
             ("Gymnasium AsyncVectorEnv", f"{arrays}; a process a slot", asynchronous, processes),
             ("Gymnasium's own vectorisation", f"{arrays}; NumPy, one thread", n, own),
-            ("MinAtar", "observations, rewards, ends; Python, one thread", sync, _minatar),
+            ("MinAtar", _ONE_BY_ONE, sync, _minatar),
         ]
     return [Contender(name, counts, count, partial(make, spec, count)) for name, counts, count, make in rows]
 
@@ -529,7 +529,8 @@ _OF_GYMNAX = ("gymnax", "all result arrays; JAX, compiled, on all cores", _gymna
 _OF_GYMNAX_DEFAULT = ("gymnax", "all result arrays, default options; JAX, compiled, on all cores", _gymnax)
 _OF_PGX = ("pgx", "all result arrays, default options; JAX, compiled, on all cores", _pgx)
 _OF_JUMANJI = ("jumanji", "all result arrays; JAX, compiled, on all cores", _jumanji)
-_OF_BSUITE = ("bsuite", "observations, rewards, ends; Python, one thread", _bsuite)
+_ONE_BY_ONE = "observations, rewards, ends; Python, one thread"
+_OF_BSUITE = ("bsuite", _ONE_BY_ONE, _bsuite)
 _FIVE_DICTS = "five dicts; Python, one thread"
 _ONE_PLAYER = "observation, mask, reward, end of one player; no wrappers that check; Python, one thread"
 PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]] = {
@@ -540,26 +541,26 @@ PACKAGES: dict[str, list[tuple[str, str, Callable[[EnvSpec, int], Step | Game]]]
     "CoinGame": [("jaxmarl", "all result arrays; JAX, compiled, on all cores", _coin_game)],
     "ConnectFour": [("PettingZoo connect_four_v3", _ONE_PLAYER, partial(_pettingzoo, module="connect_four"))],
     "DeepSea": [_OF_GYMNAX_DEFAULT, _OF_BSUITE],
-    "Elevators": [("pyRDDLGym", "observations, rewards, ends; Python, one thread", _elevators)],
+    "Elevators": [("pyRDDLGym", _ONE_BY_ONE, _elevators)],
     "Freeway": [_OF_GYMNAX_DEFAULT, _OF_PGX],
     "Game2048": [_OF_JUMANJI],
-    "Inventory": [("or-gymnasium", "observations, rewards, ends; Python, one thread", _inventory)],
+    "Inventory": [("or-gymnasium", _ONE_BY_ONE, _inventory)],
     "KuhnPoker": [_OF_PGX],
     "LeducPoker": [_OF_PGX],
-    "LevelBasedForaging": [("lbforaging", "observations, rewards, ends; Python, one thread", _foraging)],
+    "LevelBasedForaging": [("lbforaging", _ONE_BY_ONE, _foraging)],
     "MemoryChain": [_OF_GYMNAX, _OF_BSUITE],
     "Minesweeper": [_OF_JUMANJI],
     "MountainCarContinuous": [_OF_GYMNAX],
     "Othello": [_OF_PGX],
-    "Overcooked": [("overcooked-ai", "observations, rewards, ends; Python, one thread", _overcooked)],
+    "Overcooked": [("overcooked-ai", _ONE_BY_ONE, _overcooked)],
+    "Pursuit": [("PettingZoo", _FIVE_DICTS, partial(_parallel_env, module="pettingzoo.sisl.pursuit_v5"))],
+    "RobotWarehouse": [("rware", _ONE_BY_ONE, _warehouse)],
     "Seaquest": [_OF_GYMNAX_DEFAULT, _OF_PGX],
     "SimpleSpread": [("MPE2", _FIVE_DICTS, partial(_parallel_env, module="mpe2.simple_spread_v3"))],
     "SimpleTag": [("MPE2", _FIVE_DICTS, partial(_parallel_env, module="mpe2.simple_tag_v3"))],
     "Snake": [_OF_JUMANJI],
     "SpaceInvaders": [_OF_GYMNAX_DEFAULT, _OF_PGX],
     "TicTacToe": [("PettingZoo tictactoe_v3", _ONE_PLAYER, partial(_pettingzoo, module="tictactoe"))],
-    "Pursuit": [("PettingZoo", _FIVE_DICTS, partial(_parallel_env, module="pettingzoo.sisl.pursuit_v5"))],
-    "RobotWarehouse": [("rware", "observations, rewards, ends; Python, one thread", _warehouse)],
 }
 """Packages that have our games, by our names of these: name, what is counted, and its step."""
 
