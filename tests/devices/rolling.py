@@ -9,9 +9,13 @@ import numpy as np
 import pearl_marl
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.devices import BatchConfig, Device, Native
+from pearl_marl.memory_map import Engine
 from pearl_marl.policies.integer_network import IntegerNetwork
 
 from ..policies.networks import random_network
+
+NETWORK = Engine("network", drawn=True, products=4, side=2, rounds=2, hidden=8, layers=3)
+TABLE = Engine("table", drawn=True, table_rows=64, logit_bits=8)
 
 
 class Stepping(Native):

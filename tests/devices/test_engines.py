@@ -27,10 +27,10 @@ from pearl_marl.memory_map import Engine, Mode, Statistics
 
 from ..rtl.random_policies import random_table
 from .boards import Faults, OwnBoard, faulty
+from .rolling import TABLE
 from .test_serial import Fake
 
 SPEC = get_spec("CliffWalking")
-TABLE = Engine("table", drawn=True, table_rows=64, logit_bits=8)
 CONFIG = {"spec": SPEC, "n_envs": 7, "max_cycles": 13}
 ENDLESS = (1 << 32) - 1
 

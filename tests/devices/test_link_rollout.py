@@ -32,9 +32,8 @@ from pearl_marl.policies.integer_network import AgentNetworks, IntegerNetwork
 
 from ..rtl.random_policies import random_network, random_planes, random_table
 from ..toy_world import MEADOW
+from .rolling import NETWORK, TABLE
 
-NETWORK = Engine("network", drawn=True, products=4, side=2, rounds=2, hidden=8, layers=3)
-TABLE = Engine("table", drawn=True, table_rows=64, logit_bits=8)
 PLANES = NETWORK._replace(kind="planes", filters=6)
 NEXT, SAME = AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP
 
@@ -214,36 +213,6 @@ def test_a_rollout_is_its_steps(
     if env == "CliffWalking":  # no random numbers are waited for
         assert hardware.cycles == step_cycles(spec, layout), "a step is as fast as without an engine"
     assert np.array_equal(ours.rewards, theirs.rewards)
-    assert np.array_equal(hardware.snapshot().memory, native.snapshot().memory)
-    hardware.close()
-    native.close()
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize(
-    ("env", "engine", "hidden", "n", "steps"),
-    [
-        *(("CliffWalking", TABLE, None, n, 1_000) for n in (1, 1_000, 43_008)),
-        *(("CartPole", NETWORK, [8, 6], n, steps) for n, steps in ((1, 1_000), (1_000, 1_000), (43_008, 20))),
-        *(("LevelBasedForaging", NETWORK, [8], n, 1_000) for n in (1, 1_000)),
-    ],
-)
-def test_a_long_rollout_is_the_cpus(
-    env: str, engine: Engine, hidden: list[int] | None, n: int, steps: int
-) -> None:
-    """Which is that of single steps: see test_rollouts.py."""
-    spec, random = get_spec(env), np.random.default_rng(24)
-    policy = (
-        random_table(random, spec, 6, True) if hidden is None else random_network(random, spec, hidden, True)
-    )
-    hardware, native = Rtl(engine=engine), Native()
-    for device in (hardware, native):
-        device.open(BatchConfig(spec=spec, n_envs=n))
-        device.reset(seed=3)
-    found, due = hardware.rollout(policy, steps), native.rollout(policy, steps)
-    assert (found.episodes, found.truncated.sum()) == (due.episodes, due.truncated.sum())
-    assert found.lengths.sum() == due.lengths.sum()
-    assert found.returns.sum() == pytest.approx(due.returns.sum(), rel=1e-12)
     assert np.array_equal(hardware.snapshot().memory, native.snapshot().memory)
     hardware.close()
     native.close()
