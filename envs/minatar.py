@@ -15,11 +15,24 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.checks import checked_flag, checked_number
 from pearl_marl.golden import Draws, Word
+from pearl_marl.spec import snake_case
 
 SIDE, LAST = 10, 9
 """Cells of a row and a column of the board, and the last of them."""
 NOTHING, LEFT, UP, RIGHT, DOWN, FIRE = range(6)
 """MinAtar's actions. Those that have an effect in a game are its minimal action set."""
+
+PRESET: dict[str, Any] = {
+    "n_agents": 512,
+    "iterations": 120,
+    "minibatch": 1024,
+    "learning_rate": 1e-3,
+    "discount": 0.99,
+    "gae_lambda": 0.95,
+    "entropy": 0.01,
+    "width": 128,
+}
+"""Settings of PPO for pictures of ten by ten, and points that come one at a time."""
 
 
 def checked_options(sticky_action_prob: float, **flags: bool) -> dict[str, Any]:
@@ -83,6 +96,8 @@ def spec_parts(
         "options": options,
         "oracle": f"pearl_marl.envs.minatar_oracle:MinAtar/{name}-v1",
         "follows": f"MinAtar {name}-v1",
+        "peers": {"gymnax": f"{name}-MinAtar", "pgx": f"minatar-{snake_case(name)}"},
+        "presets": {"ppo": PRESET},
         "pose": pose,
         "render_modes": ("human", "rgb_array"),
     }

@@ -16,6 +16,15 @@ from pearl_marl.errors import ArgumentError
 MOST_STEPS = (1 << 16) - 2
 """The longest time limit: a reward's category is the number of its step."""
 
+PRESET: dict[str, Any] = {
+    "n_agents": 512,
+    "minibatch": 2048,
+    "learning_rate": 1e-3,
+    "discount": 0.99,
+    "entropy": 0.01,
+}
+"""Settings of PPO for grids of cells, and rewards that are rare at first."""
+
 
 def checked_max_steps(max_steps: int | None, default: int) -> int:
     """Return the time limit, or the default for None."""
@@ -94,6 +103,7 @@ def spec_parts(
         "options": options,
         "oracle": f"pearl_marl.envs.mini_grid_oracle:MiniGridImage/{name}",
         "follows": f"minigrid MiniGrid-{registered}-v0",
+        "peers": {"EnvPool": f"MiniGrid-{registered}-v0"},
         "pose": pose,
         "render_modes": ("human", "rgb_array"),
         "render_fps": 10,

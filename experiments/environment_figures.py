@@ -33,9 +33,8 @@ from pearl_marl.benchmark.measure import measure as time_in_turns
 from pearl_marl.benchmark.steps import compared
 from pearl_marl.benchmark.tables import (
     BATCH,
-    ENVPOOL,
     KERNEL,
-    OTHER_PEERS,
+    SHORT,
     MeasuredTable,
     machine_line,
     rate,
@@ -57,7 +56,6 @@ from pearl_marl.spec import EnvSpec, snake_case
 FOLDER = Path(__file__).resolve().parents[1] / "envs"
 SLOTS = 43_008
 FAMILIES = (Family.XC7, Family.ECP5)
-PEERS = {ENVPOOL: "EnvPool"} | OTHER_PEERS
 FACTS = ("behaviour", "original", "transitions", "core", "verified", "rates", "pictures")
 """What stands in an environment's ``facts.json``; ``null`` is what nobody has measured.
 
@@ -140,14 +138,15 @@ def measured_rates(spec: EnvSpec, rounds: int, seconds: float) -> dict[str, Any]
     contenders = compared(spec, SLOTS // spec.agents * spec.agents)
     list(time_in_turns(contenders, rounds, seconds))
     found = {contender.name: contender.rate for contender in contenders if contender.unavailable is None}
-    best = max((peer for peer in PEERS if peer in found), key=found.__getitem__, default=None)
+    theirs = (c.name for c in contenders if not c.ours and c.name in found)
+    best = max(theirs, key=found.__getitem__, default=None)
     absent = [c.name for c in contenders if (c.unavailable or "").startswith("not installed")]
     return {
         "kernel": round(found[KERNEL]),
         "step_batch": round(found[BATCH]),
-        "peer": best and PEERS[best],
+        "peer": best and SHORT.get(best, best),
         "peer_rate": best and round(found[best]),
-        "absent": [PEERS[peer] for peer in absent],
+        "absent": [SHORT.get(peer, peer) for peer in absent],
         "machine": machine_line(machine()),
         "date": _today(),
     }

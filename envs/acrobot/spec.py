@@ -11,6 +11,7 @@ from gymnasium.spaces import Box, Discrete
 from pearl_marl.checks import checked_choice
 from pearl_marl.spec import EnvSpec, Golden
 
+from .presets import PRESETS
 from .step import MAX_VEL_1, MAX_VEL_2, State, View, initial, make_step, observe
 
 HIGH = np.array([1, 1, 1, 1, MAX_VEL_1, MAX_VEL_2], np.float32)
@@ -41,6 +42,8 @@ def configure(book_or_nips: str = "book") -> EnvSpec:
         max_cycles=500,
         options={"book_or_nips": book_or_nips},
         configure=configure,
+        peers={"EnvPool": "Acrobot-v1", "gymnax": "Acrobot-v1"},
+        presets=PRESETS,
         oracle="pearl_marl.envs.acrobot.oracle:Gymnasium/Acrobot-v1",
         follows="Gymnasium Acrobot-v1",
         pose=pose,

@@ -10,6 +10,7 @@ from gymnasium.spaces import Discrete, Tuple
 from pearl_marl.checks import checked_flag
 from pearl_marl.spec import EnvSpec, Golden
 
+from .presets import PRESETS
 from .step import State, View, initial, make_step, observe
 
 
@@ -48,6 +49,7 @@ def configure(natural: bool = False, sab: bool = True) -> EnvSpec:
         ),
         options={"natural": natural, "sab": sab},
         configure=configure,
+        presets=PRESETS,
         oracle="Blackjack-v1",
         pose=pose,
         render_modes=("human", "rgb_array"),

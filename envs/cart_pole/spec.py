@@ -12,6 +12,7 @@ from gymnasium.spaces import Box, Discrete
 from pearl_marl.checks import checked_flag
 from pearl_marl.spec import EnvSpec, Golden
 
+from .presets import PRESETS
 from .step import State, initial, make_step, observe
 
 # Twice what ends an episode, so that its last observation is inside; velocities have no bound.
@@ -43,6 +44,8 @@ def configure(sutton_barto_reward: bool = False) -> EnvSpec:
         max_cycles=500,
         options={"sutton_barto_reward": sutton_barto_reward},
         configure=configure,
+        peers={"gymnax": "CartPole-v1"},
+        presets=PRESETS,
         oracle="CartPole-v1",
         pose=pose,
         render_modes=("human", "rgb_array"),

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.checks import checked_integer
-from pearl_marl.spec import EnvSpec, Golden
+from pearl_marl.spec import EnvSpec, Golden, Peer
 
 from .step import make_initial, make_step, observe, state_of
 
@@ -63,6 +63,11 @@ def configure(rows: int = ROWS, columns: int = COLUMNS) -> EnvSpec:
         unpack=unpack,
         options={"rows": rows, "columns": columns},
         configure=configure,
+        peers={
+            "EnvPool": "Catch-v0",
+            "gymnax": Peer("Catch-bsuite", options=("rows", "columns")),
+            "bsuite": "bsuite.environments.catch:Catch",
+        },
         draw=draw,
         follows="bsuite catch",
         render_modes=("rgb_array",),

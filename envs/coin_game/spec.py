@@ -14,6 +14,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec, Golden, Grid
 
 from .picture import draw
+from .presets import PRESETS
 from .step import SIZE, Around, Place, View, make_initial, make_observe, make_step, rewards, state_of
 
 CHANNELS = 4
@@ -105,6 +106,8 @@ def configure(
             "payoff_matrix": payoff,
         },
         configure=configure,
+        peers={"JaxMARL": "jaxmarl.environments.coin_game:CoinGame"},
+        presets=PRESETS,
         draw=draw,
         follows="jaxmarl coin_game",
         render_modes=("rgb_array",),

@@ -11,6 +11,7 @@ from gymnasium.spaces import Box, Discrete
 from pearl_marl.planes import interleave
 from pearl_marl.spec import EnvSpec, Field, Golden
 
+from .presets import PRESETS
 from .step import CELLS, COLUMNS, ROWS, State, View, initial, masks, observe, step
 
 
@@ -42,6 +43,11 @@ def configure() -> EnvSpec:
         masked="refused",
         unpack=unpack,
         configure=configure,
+        peers={
+            "EnvPool": "ConnectFour-v1",
+            "PettingZoo": "pettingzoo.classic.connect_four.connect_four:raw_env",
+        },
+        presets=PRESETS,
         oracle="pearl_marl.envs.turns:PettingZoo/ConnectFour-v3",
         follows="PettingZoo connect_four_v3",
         pose=pose,

@@ -10,7 +10,7 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.checks import checked_flag, checked_integer, checked_number
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Golden, Grid
+from pearl_marl.spec import EnvSpec, Golden, Grid, Peer
 
 from .step import make_initial, make_step, observe, state_of
 
@@ -92,6 +92,14 @@ def configure(
             "mapping_seed": mapping_seed,
         },
         configure=configure,
+        peers={
+            "gymnax": Peer(
+                "DeepSea-bsuite",
+                options=("size",),
+                parameters=("unscaled_move_cost", "randomize_actions"),
+            ),
+            "bsuite": "bsuite.environments.deep_sea:DeepSea",
+        },
         draw=draw,
         follows="bsuite deep_sea",
         render_modes=("rgb_array",),

@@ -9,8 +9,10 @@ import numpy.typing as npt
 from gymnasium.spaces import Discrete, MultiBinary, MultiDiscrete
 
 from pearl_marl.checks import checked_integer
-from pearl_marl.spec import EnvSpec, Field
+from pearl_marl.spec import EnvSpec, Field, Peer
 
+from .peers import make, moves_of
+from .presets import PRESETS
 from .step import RIGHT, WAITING, WRONG, make_golden
 
 INSTANCES: tuple[tuple[int, tuple[float, ...]], ...] = (
@@ -80,6 +82,8 @@ def configure(instance: int = 5) -> EnvSpec:
         max_cycles=40,
         options={"instance": instance},
         configure=configure,
+        peers={"pyRDDLGym": Peer(make, actions=moves_of)},
+        presets=PRESETS,
         draw=draw,
         follows="rddlrepository Elevators_MDP_ippc2011",
         render_modes=("rgb_array",),

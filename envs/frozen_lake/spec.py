@@ -98,6 +98,7 @@ def configure(
             "reward_schedule": list(map(float, reward_schedule)),
         },
         configure=configure,
+        peers={"gymnax": "FrozenLake-misc"},
         oracle="FrozenLake8x8-v1" if eight else "FrozenLake-v1",
         pose=pose,
         render_modes=("human", "rgb_array", "ansi"),

@@ -64,6 +64,7 @@ def configure(board_size: int = 4) -> EnvSpec:
         unpack=unpack,
         options={"board_size": size},
         configure=configure,
+        peers={"EnvPool": "Jumanji/Game2048-v1", "jumanji": "jumanji.environments:Game2048"},
         draw=draw,
         follows="jumanji Game2048-v1",
         render_modes=("rgb_array",),

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Box, MultiDiscrete
 
-from pearl_marl.spec import EnvSpec, Field, Golden
+from pearl_marl.spec import EnvSpec, Field, Golden, Peer
 
 from .step import CAPACITY, FRACTION, LEAD, MOST_STORED, PERIODS, State, View, initial, observe, step
 
@@ -39,6 +39,7 @@ def configure() -> EnvSpec:
         golden=Golden(State, initial, step, observe, view=View),
         max_cycles=PERIODS,
         configure=configure,
+        peers={"or-gymnasium": Peer("or_gymnasium:InvManagementLostSalesEnv", options=())},
         draw=draw,
         follows="or-gymnasium InvManagement-v1",
         render_modes=("rgb_array",),

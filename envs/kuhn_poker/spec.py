@@ -8,6 +8,7 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.spec import EnvSpec, Field, Golden
 
+from .presets import PRESETS
 from .step import State, initial, masks, observe, step
 
 CARDS, CHIP, CELL = np.array([(40, 85, 200), (240, 150, 40), (205, 45, 45)], np.uint8), (60, 60, 60), 64
@@ -37,6 +38,8 @@ def configure() -> EnvSpec:
         turns=True,
         masked="refused",
         configure=configure,
+        peers={"EnvPool": "KuhnPoker-v1", "pgx": "kuhn_poker"},
+        presets=PRESETS,
         draw=draw,
         follows="pgx kuhn_poker",
         render_modes=("rgb_array",),

@@ -8,6 +8,7 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.spec import EnvSpec, Field, Golden
 
+from .presets import PRESETS
 from .step import MOST_CHIPS, State, initial, masks, observe, step
 
 CARDS, CHIP, CELL = np.array([(40, 85, 200), (240, 150, 40), (205, 45, 45)], np.uint8), (60, 60, 60), 16
@@ -39,6 +40,8 @@ def configure() -> EnvSpec:
         turns=True,
         masked="refused",
         configure=configure,
+        peers={"EnvPool": "LeducHoldem-v1", "pgx": "leduc_holdem"},
+        presets=PRESETS,
         draw=draw,
         follows="pgx leduc_holdem",
         render_modes=("rgb_array",),

@@ -12,9 +12,11 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.checks import checked_flag, checked_integer, checked_number
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Grid
+from pearl_marl.spec import EnvSpec, Grid, Peer
 
+from .peers import OF_ENVPOOL, choose, make
 from .picture import make_draw
+from .presets import PRESETS
 from .step import LOADED, ForagingRules, make_golden, rewards
 
 SIZES, PLAYERS, FOODS, LEVELS = (3, 32), (1, 16), (1, 16), (1, 255)
@@ -129,6 +131,11 @@ def configure(
             "penalty": penalty,
         },
         configure=configure,
+        peers={
+            "EnvPool": Peer("LevelBasedForaging-v0", differs=OF_ENVPOOL),
+            "lbforaging": Peer(make, choose=choose),
+        },
+        presets=PRESETS,
         draw=make_draw(size),
         follows="lbforaging Foraging-8x8-2p-3f-v3",
         render_modes=("rgb_array",),

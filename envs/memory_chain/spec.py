@@ -9,7 +9,7 @@ import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.checks import checked_integer
-from pearl_marl.spec import EnvSpec, Golden
+from pearl_marl.spec import EnvSpec, Golden, Peer
 
 from .step import classes_of, make_initial, make_observe, make_step
 
@@ -66,6 +66,10 @@ def configure(memory_length: int = 5, num_bits: int = 1) -> EnvSpec:
         unpack=unpack,
         options={"memory_length": length, "num_bits": bits},
         configure=configure,
+        peers={
+            "gymnax": Peer("MemoryChain-bsuite", options=("num_bits",), parameters=("memory_length",)),
+            "bsuite": "bsuite.environments.memory_chain:MemoryChain",
+        },
         draw=draw,
         follows="bsuite memory_chain",
         render_modes=("rgb_array",),

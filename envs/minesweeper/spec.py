@@ -10,8 +10,9 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.checks import checked_integer
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec
+from pearl_marl.spec import EnvSpec, Peer
 
+from .peers import cells_of, make
 from .step import make_golden
 
 SIZES, MINES = (2, 16), (1, 40)
@@ -74,6 +75,10 @@ def configure(num_rows: int = 10, num_cols: int = 10, num_mines: int = 10) -> En
         unpack=unpack,
         options={"num_rows": rows, "num_cols": columns, "num_mines": mines},
         configure=configure,
+        peers={
+            "EnvPool": Peer("Jumanji/Minesweeper-v0", actions=cells_of),
+            "jumanji": Peer(make, actions=cells_of),
+        },
         draw=draw,
         follows="jumanji Minesweeper-v0",
         render_modes=("rgb_array",),

@@ -9,6 +9,7 @@ from pearl_marl.envs.mini_grid import Rules
 from pearl_marl.envs.mini_grid_spec import checked_max_steps, rewards_until, spec_parts
 from pearl_marl.spec import EnvSpec
 
+from .presets import PRESETS
 from .step import KEY, THINGS, boxes, make_golden
 
 SIZES = (5, 32)
@@ -40,6 +41,7 @@ def configure(size: int = 8, max_steps: int | None = None) -> EnvSpec:
         golden=make_golden(rules),
         max_cycles=rules.max_steps,
         configure=configure,
+        presets=PRESETS,
     )
 
 

@@ -8,6 +8,7 @@ from pearl_marl.envs.mini_grid import THINGS, Rules
 from pearl_marl.envs.mini_grid_spec import checked_max_steps, rewards_until, spec_parts
 from pearl_marl.spec import EnvSpec
 
+from .presets import PRESETS
 from .step import SIZE, boxes, make_golden
 
 
@@ -21,6 +22,7 @@ def configure(max_steps: int = 100) -> EnvSpec:
         golden=make_golden(rules),
         max_cycles=rules.max_steps,
         configure=configure,
+        presets=PRESETS,
     )
 
 

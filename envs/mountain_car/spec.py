@@ -11,6 +11,7 @@ from gymnasium.spaces import Box, Discrete
 from pearl_marl.checks import checked_number
 from pearl_marl.spec import EnvSpec, Golden
 
+from .presets import PRESETS
 from .step import State, goal_word, initial, make_step, observe
 
 LOW, HIGH = np.array([-1.2, -0.07], np.float32), np.array([0.6, 0.07], np.float32)
@@ -42,6 +43,8 @@ def configure(goal_velocity: float = 0) -> EnvSpec:
         max_cycles=200,
         options={"goal_velocity": goal_velocity},
         configure=configure,
+        peers={"gymnax": "MountainCar-v0"},
+        presets=PRESETS,
         oracle="MountainCar-v0",
         pose=pose,
         render_modes=("human", "rgb_array"),

@@ -10,8 +10,9 @@ from gymnasium.spaces import Box
 
 from pearl_marl.checks import checked_number
 from pearl_marl.layout import Real
-from pearl_marl.spec import EnvSpec, Golden
+from pearl_marl.spec import EnvSpec, Golden, Peer
 
+from .presets import PRESETS
 from .step import (
     MAX_ACTION,
     MAX_POSITION,
@@ -55,6 +56,8 @@ def configure(goal_velocity: float = 0) -> EnvSpec:
         max_cycles=999,
         options={"goal_velocity": goal_velocity},
         configure=configure,
+        peers={"gymnax": Peer("MountainCarContinuous-v0", parameters=("goal_velocity",))},
+        presets=PRESETS,
         oracle="MountainCarContinuous-v0",
         pose=pose,
         render_modes=("human", "rgb_array"),

@@ -51,6 +51,7 @@ def configure() -> EnvSpec:
         masked="refused",
         unpack=unpack,
         configure=configure,
+        peers={"EnvPool": "Othello-v1", "pgx": "othello"},
         draw=draw,
         follows="pgx othello",
         render_modes=("rgb_array",),

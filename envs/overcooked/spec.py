@@ -11,11 +11,13 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.checks import checked_choice, checked_integer, checked_number
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Golden, Grid
+from pearl_marl.spec import EnvSpec, Golden, Grid, Peer
 
 from .kitchen import LAYOUTS, MOST
 from .layers import COUNT, OWN_PLACE, make_unpack
+from .peers import Kitchen, pairs_of
 from .picture import make_draw
+from .presets import PRESETS
 from .step import make_classes, make_initial, make_observe, make_step, rewards
 
 SHAPING = {"PLACEMENT_IN_POT_REW": 3.0, "DISH_PICKUP_REWARD": 3.0, "SOUP_PICKUP_REWARD": 5.0}
@@ -84,6 +86,8 @@ def configure(
             "rew_shaping_params": None if rew_shaping_params is None else shaping,
         },
         configure=configure,
+        peers={"overcooked-ai": Peer(Kitchen, actions=pairs_of)},
+        presets=PRESETS,
         draw=make_draw(kitchen),
         follows="overcooked-ai cramped_room",
         render_modes=("rgb_array",),

@@ -12,6 +12,7 @@ from gymnasium.spaces import Box
 from pearl_marl.checks import checked_number
 from pearl_marl.spec import EnvSpec, Field, Golden
 
+from .presets import PRESETS
 from .step import REWARD_FRACTION, TORQUE_FRACTION, State, View, fall, initial, make_step, observe
 
 MAX_GRAVITY = 200
@@ -47,6 +48,7 @@ def configure(g: float = 10.0) -> EnvSpec:
         max_cycles=200,
         options={"g": g},
         configure=configure,
+        presets=PRESETS,
         oracle="Pendulum-v1",
         pose=pose,
         render_modes=("human", "rgb_array"),

@@ -136,6 +136,7 @@ def configure(
             "surround": surround,
         },
         configure=configure,
+        peers={"PettingZoo": "pettingzoo.sisl.pursuit_v5:parallel_env"},
         draw=draw,
         follows="PettingZoo pursuit_v5",
         render_modes=("rgb_array",),

@@ -10,15 +10,15 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.checks import checked_choice, checked_integer
 from pearl_marl.layout import Layout
-from pearl_marl.spec import EnvSpec, Grid
+from pearl_marl.spec import EnvSpec, Grid, Peer
 
 from .moves import MOST
+from .peers import SIZES, make
 from .picture import make_draw
+from .presets import PRESETS
 from .rules import WarehouseRules
 from .step import make_golden
 
-SIZES = {"tiny": (1, 3), "small": (2, 3), "medium": (2, 5), "large": (3, 5)}
-"""Rows and columns of blocks of racks, by the package's names."""
 REWARDS = {"individual": (0.0, 1.0), "global": (0.0, 1.0, 2.0), "two_stage": (0.0, 0.5)}
 """The rewards of each category, by the package's names."""
 HEIGHTS, SIGHTS, REQUESTS = (1, 15), (1, 5), 19
@@ -81,6 +81,13 @@ def configure(
             "max_steps": max_steps,
         },
         configure=configure,
+        peers={
+            "EnvPool": Peer(
+                "RobotWarehouse-v0", agents=4, differs="Jumanji's warehouse: worlds of 4 robots, 80 shelves"
+            ),
+            "rware": Peer(make),
+        },
+        presets=PRESETS,
         draw=make_draw(rules),
         follows="rware rware-tiny-2ag-v2",
         render_modes=("rgb_array",),

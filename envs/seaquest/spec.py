@@ -10,6 +10,7 @@ from pearl_marl.layout import Layout
 from pearl_marl.planes import BoardCells, mark, mark_moving
 from pearl_marl.spec import EnvSpec, Field, Golden
 
+from .presets import PRESETS
 from .step import (
     CHANCE_BITS,
     DEEPEST,
@@ -135,7 +136,7 @@ def configure(sticky_action_prob: float = 0.1, difficulty_ramping: bool = True) 
     options = checked_options(sticky_action_prob, difficulty_ramping=difficulty_ramping)
     sticky_below = round(options["sticky_action_prob"] * (1 << CHANCE_BITS))
     return EnvSpec(
-        **spec_parts("Seaquest", CHANNELS, range(6), minatar_attributes, **options),
+        **spec_parts("Seaquest", CHANNELS, range(6), minatar_attributes, **options) | {"presets": PRESETS},
         summary="Dive for divers among fish and submarines, and surface before the oxygen is spent",
         reward=Field("reward", 4),
         rewards=None,

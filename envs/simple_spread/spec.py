@@ -12,6 +12,7 @@ from pearl_marl.checks import checked_flag, checked_integer, checked_number
 from pearl_marl.layout import Real
 from pearl_marl.spec import EnvSpec
 
+from .presets import PRESETS
 from .step import make_golden
 
 MOST_AGENTS = 6
@@ -52,6 +53,8 @@ def configure(N: int = 3, local_ratio: float = 0.5, continuous_actions: bool = F
         max_cycles=25,
         options={"N": n, "local_ratio": local_ratio, "continuous_actions": continuous},
         configure=configure,
+        peers={"MPE2": "mpe2.simple_spread_v3:parallel_env"},
+        presets=PRESETS,
         draw=draw,
         follows="MPE2 simple_spread_v3",
         render_modes=("rgb_array",),

@@ -12,6 +12,7 @@ from pearl_marl.checks import checked_flag, checked_integer
 from pearl_marl.layout import Real
 from pearl_marl.spec import EnvSpec, Role
 
+from .presets import PRESETS
 from .step import CAUGHT, make_golden
 
 MOST_OF_A_KIND = 4
@@ -69,6 +70,8 @@ def configure(
         max_cycles=25,
         options={**options, "continuous_actions": continuous, "terminate_on_success": terminates},
         configure=configure,
+        peers={"MPE2": "mpe2.simple_tag_v3:parallel_env"},
+        presets=PRESETS,
         draw=draw,
         follows="MPE2 simple_tag_v3",
         render_modes=("rgb_array",),

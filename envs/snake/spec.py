@@ -11,6 +11,7 @@ from gymnasium.spaces import Box, Discrete
 from pearl_marl.checks import checked_integer
 from pearl_marl.spec import EnvSpec
 
+from .presets import PRESETS
 from .step import MOVES, make_golden, move_of
 
 SIZES = (2, 16)
@@ -71,6 +72,8 @@ def configure(num_rows: int = 12, num_cols: int = 12) -> EnvSpec:
         max_cycles=4000,
         options={"num_rows": rows, "num_cols": columns},
         configure=configure,
+        peers={"EnvPool": "Jumanji/Snake-v1", "jumanji": "jumanji.environments:Snake"},
+        presets=PRESETS,
         draw=draw,
         follows="jumanji Snake-v1",
         render_modes=("rgb_array",),

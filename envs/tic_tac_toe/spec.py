@@ -42,6 +42,10 @@ def configure() -> EnvSpec:
         masked="refused",
         unpack=unpack,
         configure=configure,
+        peers={
+            "EnvPool": "TicTacToe-v1",
+            "PettingZoo": "pettingzoo.classic.tictactoe.tictactoe:raw_env",
+        },
         oracle="pearl_marl.envs.turns:PettingZoo/TicTacToe-v3",
         follows="PettingZoo tictactoe_v3",
         pose=pose,

@@ -18,8 +18,8 @@ from pearl_marl.batch.rewards import padded
 from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import on_host
 from pearl_marl.benchmark.measure import Contender, Game, Step, UnavailableError
-from pearl_marl.benchmark.peers import peers
-from pearl_marl.benchmark.tables import BATCH, ENVPOOL, KERNEL, OTHER_PEERS
+from pearl_marl.benchmark.peers import ASYNCHRONOUS, peers
+from pearl_marl.benchmark.tables import BATCH, KERNEL
 from pearl_marl.compiler import cuda_kernels
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices import BatchConfig, Cuda, Device, Native, Rtl, cuda
@@ -74,7 +74,8 @@ def contenders(spec: EnvSpec, n: int) -> list[Contender]:
 
 def compared(spec: EnvSpec, n: int) -> list[Contender]:
     """Return those of the contenders that the table of all environments has."""
-    return [one for one in contenders(spec, n) if one.name in (KERNEL, BATCH, ENVPOOL, *OTHER_PEERS)]
+    ours = KERNEL, BATCH
+    return [c for c in contenders(spec, n) if c.name in ours or not (c.ours or c.name == ASYNCHRONOUS)]
 
 
 def _kernel(spec: EnvSpec, actions: Array) -> Step:

@@ -10,25 +10,8 @@ if TYPE_CHECKING:
     from pearl_marl.benchmark.measure import Contender
 
 KERNEL, BATCH, ENVPOOL = "kernel only", "step_batch", "EnvPool, sync"
-OTHER_PEERS = {
-    "Gymnasium SyncVectorEnv": "Sync",
-    "Gymnasium's own vectorisation": "NumPy",
-    "MinAtar": "MinAtar",
-    "MPE2": "MPE2",
-    "bsuite": "bsuite",
-    "gymnax": "gymnax",
-    "jaxmarl": "JaxMARL",
-    "jumanji": "jumanji",
-    "lbforaging": "lbforaging",
-    "or-gymnasium": "or-gymnasium",
-    "overcooked-ai": "overcooked-ai",
-    "PettingZoo connect_four_v3": "PettingZoo",
-    "PettingZoo": "PettingZoo",
-    "PettingZoo tictactoe_v3": "PettingZoo",
-    "pgx": "pgx",
-    "pyRDDLGym": "pyRDDLGym",
-}
-"""The peers besides EnvPool in the table of all environments: contenders, and the words for them there."""
+SHORT = {ENVPOOL: "EnvPool", "Gymnasium SyncVectorEnv": "Sync", "Gymnasium's own vectorisation": "NumPy"}
+"""Names of peers in the table of all environments, where those of the contenders are longer."""
 
 
 class MeasuredTable(NamedTuple):
@@ -91,9 +74,10 @@ def environments_table(environments: Iterable[tuple[str, Iterable[Contender]]]) 
     rows = []
     for name, contenders in environments:
         rates = {c.name: c.rate for c in contenders if c.unavailable is None}
-        best = max((peer for peer in OTHER_PEERS if peer in rates), key=rates.__getitem__, default="")
+        others = (name for name in rates if name not in (KERNEL, BATCH, ENVPOOL))
+        best = max(others, key=rates.__getitem__, default="")
         cells = [name, rate(rates[KERNEL]), rate(rates[BATCH])]
-        for peer, label in ((ENVPOOL, ""), (best, f", {OTHER_PEERS.get(best)}")):
+        for peer, label in ((ENVPOOL, ""), (best, f", {SHORT.get(best, best)}")):
             there = peer in rates
             cells += [rate(rates[peer]) + label, times(rates[BATCH] / rates[peer])] if there else ["-", "-"]
         rows.append(cells)

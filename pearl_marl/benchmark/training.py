@@ -14,7 +14,6 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from pearl_marl.benchmark.peers import GYMNAX
 from pearl_marl.envs import get_spec
 from pearl_marl.training.run import settings_for
 
@@ -81,15 +80,15 @@ class TrainerModule(NamedTuple):
     module: str | None
     tasks: str | tuple[str, ...]  # what the names of its tasks begin with
     packages: tuple[str, ...]
-    envs: tuple[str, ...] | None = None  # that it has; None for all
+    library: str | None = None  # whose environments it learns; None for those of all
     problem: str | None = None  # why it cannot be run at all
 
     def missing(self, task: TrainingTask) -> str | None:
         """Return why it cannot run here, or None if it can."""
         if self.problem is not None:
             return self.problem
-        if self.envs is not None and task.env_id not in self.envs:
-            return f"gymnax has no {task.env_id}"
+        if self.library is not None and self.library not in get_spec(task.env_id).peers:
+            return f"{self.library} has no {task.env_id}"
         absent = [package for package in self.packages if importlib.util.find_spec(package) is None]
         if absent:
             return f"{', '.join(absent)} not installed: make bench-peers, or pip install '.[peers]'"
@@ -112,7 +111,7 @@ TRAINERS = (
         "purejaxrl",
         "PPO",
         ("jax", "gymnax", "optax"),
-        tuple(GYMNAX),
+        "gymnax",
     ),
     TrainerModule(
         PUFFERLIB,

@@ -16,7 +16,6 @@ from pearl_marl.cli import quantize as integers
 from pearl_marl.cli.common import error_console
 from pearl_marl.cli.interrupts import interrupts
 from pearl_marl.errors import ArgumentError
-from pearl_marl.training.presets import BEST
 
 ALGORITHMS = ("ppo", "pqn", "dqn", "q-learning", "ippo", "mappo", "iql", "vdn", "qmix", "self-play")
 REMEMBERING = ("ppo", "ippo", "mappo", "pqn", "vdn", "qmix")
@@ -135,7 +134,7 @@ def command(
     spec = common.spec_of(env_id, option)
     by_default = algo is None
     if algo is None:
-        algo = "ppo" if quantize else BEST.get(spec.name, "ppo")
+        algo = "ppo" if quantize else next(iter(spec.presets), "ppo")
     if algo not in ALGORITHMS:
         near = difflib.get_close_matches(algo, ALGORITHMS, 1)
         hint = f"did you mean {near[0]!r}?" if near else f"possible are {', '.join(map(repr, ALGORITHMS))}"

@@ -42,6 +42,7 @@ from pearl_marl.layout.positional import (
     view_of,
 )
 from pearl_marl.spec.elements import ActionSpace, action_counts, are_numbers, bounds
+from pearl_marl.spec.peer import Peer as Peer
 from pearl_marl.spec.pickling import reduced
 
 
@@ -184,6 +185,12 @@ class EnvSpec:
         How the oracle can render, as its own metadata say; ``("rgb_array",)`` with ``draw``.
     grid
         How observations fall onto a grid, for heat maps.
+    peers
+        By library, what it calls this environment, or a :class:`Peer`, which ``pearl bench`` times beside
+        ours. The oracle is timed in any case, with Gymnasium and EnvPool.
+    presets
+        By algorithm, settings of trainings that suit it better than the defaults. Without ``--algo``,
+        ``pearl train`` learns by the first.
     """
 
     name: str
@@ -212,6 +219,8 @@ class EnvSpec:
     render_modes: tuple[str, ...] = ()
     render_fps: int = 4
     grid: Grid | None = None
+    peers: Mapping[str, str | Peer] = field(default_factory=dict)
+    presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._set_defaults()

@@ -25,7 +25,6 @@ from pearl_marl.rendering import Video
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training import dqn, ppo, pqn, q_learning, self_play, teams
 from pearl_marl.training.films import film
-from pearl_marl.training.presets import PRESETS
 from pearl_marl.training.run_folder import POLICY, RunFolder
 from pearl_marl.training.trainer import threads_for
 
@@ -86,18 +85,9 @@ def settings_for(
     if algorithm not in ALGORITHMS:
         possible = ", ".join(map(repr, (*ALGORITHMS, *ALIASES)))
         raise ArgumentError(f"--algo is {algorithm!r}; possible are {possible}")
-    kind = SETTINGS[algorithm]
-    names = [setting.name for setting in dataclasses.fields(kind)]
-    changes = kind.renamed(changes)
-    for name, value in changes.items():
-        if name not in names:
-            near = difflib.get_close_matches(name, names, 1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names)}"
-            raise ArgumentError(f"--set {name}: {algorithm} has no such setting; {hint}")
-        if value not in (possible := kind.range(name)):
-            option = f"--{name.replace('_', '-')}" if name in OPTIONS else f"--set {name}"
-            raise ArgumentError(f"{option} is {value!r}; it must be {possible}")
-    preset = PRESETS.get((algorithm, get_spec(env_id).name), {})
+    changes = _checked(algorithm, changes, "--set ")
+    spec = get_spec(env_id)
+    preset = _checked(algorithm, spec.presets.get(algorithm, {}), f"{spec.name}'s preset: ")
     settings = SETTINGS[algorithm](**{**preset, **changes})
     if "n_agents" not in changes:
         n = max(settings.n_agents // agents, 1) * agents
@@ -110,6 +100,23 @@ def settings_for(
     if "blocks" in changes:
         return settings
     return dataclasses.replace(settings, blocks=min(BLOCKS, settings.n_agents))
+
+
+def _checked(algorithm: str, values: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """Return settings by the names that they have now, each of which exists and is within its range."""
+    kind = SETTINGS[algorithm]
+    names = [setting.name for setting in dataclasses.fields(kind)]
+    values = kind.renamed(values)
+    for name, value in values.items():
+        if name not in names:
+            near = difflib.get_close_matches(name, names, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names)}"
+            raise ArgumentError(f"{source}{name}: {algorithm} has no such setting; {hint}")
+        if value not in (possible := kind.range(name)):
+            by_option = source == "--set " and name in OPTIONS
+            option = f"--{name.replace('_', '-')}" if by_option else f"{source}{name}"
+            raise ArgumentError(f"{option} is {value!r}; it must be {possible}")
+    return values
 
 
 @dataclasses.dataclass(frozen=True)

@@ -24,7 +24,7 @@ from ..toy_world import MEADOW
 
 Pearl = Callable[..., tuple[int, str, str]]
 PACKAGE = {
-    "ConnectFour": "PettingZoo connect_four_v3",
+    "ConnectFour": "PettingZoo",
     "LevelBasedForaging": "lbforaging",
     "RobotWarehouse": "rware",
 }
@@ -182,16 +182,16 @@ def test_choosing_is_not_timed() -> None:
     assert len(contender.seconds) == 2
 
 
-@pytest.mark.parametrize(("name", "package"), [("Overcooked", "overcooked-ai"), ("CoinGame", "jaxmarl")])
+@pytest.mark.parametrize(("name", "package"), [("Overcooked", "overcooked-ai"), ("CoinGame", "JaxMARL")])
 def test_packages_that_need_an_environment_of_their_own(
     monkeypatch: pytest.MonkeyPatch, name: str, package: str
 ) -> None:
     """Nobody has to have them; and one that steps all worlds at once is not held to a thousand."""
-    module = {"overcooked-ai": "overcooked_ai_py", "jaxmarl": "jaxmarl"}[package]
+    module = {"overcooked-ai": "overcooked_ai_py", "JaxMARL": "jaxmarl"}[package]
     monkeypatch.setitem(sys.modules, f"{module}.mdp.actions", None)
     monkeypatch.setitem(sys.modules, module, None)
     by_name = {contender.name: contender for contender in peers.peers(get_spec(name), 8000)}
-    assert by_name[package].n == {"overcooked-ai": 1024, "jaxmarl": 8000}[package]
+    assert by_name[package].n == {"overcooked-ai": 1024, "JaxMARL": 8000}[package]
     with pytest.raises(UnavailableError, match=f"pip install {package}"):
         by_name[package].make()
 
@@ -236,9 +236,10 @@ def test_peers_begin_again_when_they_end() -> None:
             return None, 0.0, self.left == 0, False, {}
 
     envs = [Counting(), Counting()]
-    step = peers._one_by_one(envs, [7, 7])
+    for env in envs:
+        env.reset()
     for _ in range(7):
-        step()
+        peers._one_by_one(envs, [7, 7])
     assert [env.begun for env in envs] == [3, 3]
 
 

@@ -23,7 +23,6 @@ ROOT = Path(__file__).parents[2]
 MARKER = "to the last line. -->\n\n"
 """Where a page begins that ``make tables`` writes."""
 PAGES = "environments.md", "environment_figures.md"
-PEERS = ROOT / "pearl_marl" / "benchmark" / "peers.py"
 TEXTS = "", ".cpp", ".ipynb", ".md", ".py", ".sv", ".toml", ".txt", ".yml"
 
 
@@ -56,7 +55,7 @@ def test_an_environment_touches_its_folder_and_its_test(name: str) -> None:
     These two are in nobody's examples.
     """
     folders = ".ci", "docs", "examples", "experiments", "pearl_marl", "rtl", "tests", "wrappers"
-    written = {ROOT / "CHANGELOG.md", *(ROOT / "docs" / page for page in PAGES), Path(__file__), PEERS}
+    written = {ROOT / "CHANGELOG.md", *(ROOT / "docs" / page for page in PAGES), Path(__file__)}
     files = [*ROOT.glob("*"), *(file for folder in folders for file in (ROOT / folder).rglob("*"))]
     texts = [file for file in files if file.suffix in TEXTS and file.is_file() and file not in written]
     elsewhere = [file for file in texts if ROOT / "tests" / "envs" not in file.parents]

@@ -7,13 +7,16 @@ import importlib
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from pearl_marl import get_spec
+from pearl_marl import get_spec, register
 from pearl_marl.errors import ArgumentError
+
+from ..toy import SLIDE
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 training = importlib.import_module("pearl_marl.training.run")
@@ -261,3 +264,33 @@ def test_without_out_a_run_is_named_after_what_it_is(
     status, _, err = pearl("train", "Taxi", "--algo", "q-learning", "--n-agents", 64, "--iterations", 1)
     assert status == 0, err
     assert (tmp_path / "out" / "Taxi-q-learning" / "policy.safetensors").exists()
+
+
+@pytest.mark.usefixtures("toys")
+def test_a_preset_is_of_the_spec(pearl: Pearl, tmp_path: Path) -> None:
+    """The first says how an environment is learned; what is set by hand goes before it."""
+    small = {"n_agents": 8, "iterations": 1, "rollout_length": 4}
+    presets = {"pqn": {**small, "q_lambda": 0.5}, "ppo": small}
+    register(replace(SLIDE, name="LearnedSlide", presets=presets))
+    assert training.settings_for("pqn", "LearnedSlide", {"q_lambda": 0.25}).q_lambda == 0.25
+    status, _, err = pearl("train", "LearnedSlide", "--out", tmp_path / "run")
+    assert status == 0, err
+    config = json.loads((tmp_path / "run" / "config.json").read_text())
+    assert (config["algorithm"], config["settings"]["q_lambda"]) == ("pqn", 0.5)
+
+
+@pytest.mark.parametrize(
+    ("preset", "words"),
+    [
+        (
+            {"qlambda": 0.5},
+            "LearnedSlide's preset: qlambda: pqn has no such setting; did you mean 'q_lambda'?",
+        ),
+        ({"q_lambda": 2}, "LearnedSlide's preset: q_lambda is 2; it must be a number from 0 to 1"),
+    ],
+)
+@pytest.mark.usefixtures("toys")
+def test_a_preset_is_checked(preset: dict[str, Any], words: str) -> None:
+    register(replace(SLIDE, name="LearnedSlide", presets={"pqn": preset}))
+    with pytest.raises(ArgumentError, match=re.escape(f"LearnedSlide's preset: {words}")):
+        training.settings_for("pqn", "LearnedSlide", {})

@@ -1,0 +1,16 @@
+"""Settings of trainings, found by trial on one machine."""
+
+from __future__ import annotations
+
+from typing import Any
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "ppo": {
+        "n_agents": 512,
+        "iterations": 120,
+        "epochs": 8,
+        "minibatch": 2048,
+        "learning_rate": 2e-3,
+        "reward_scale": 0.03,
+    },
+}

@@ -1,0 +1,12 @@
+"""Settings of trainings, found by trial on one machine."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pearl_marl.envs.minatar import PRESET
+
+PRESETS: dict[str, dict[str, Any]] = {
+    # To come up for air is of no use until the air is gone: much entropy, and a long view.
+    "ppo": PRESET | {"iterations": 250, "discount": 0.995, "entropy": 0.03},
+}
