@@ -106,8 +106,8 @@ def _checked(algorithm: str, values: Mapping[str, Any], source: str) -> dict[str
     """Return settings by the names that they have now, each of which exists and is within its range."""
     kind = SETTINGS[algorithm]
     names = [setting.name for setting in dataclasses.fields(kind)]
-    values = kind.renamed(values)
-    for name, value in values.items():
+    checked: dict[str, Any] = kind.renamed(values)
+    for name, value in checked.items():
         if name not in names:
             near = difflib.get_close_matches(name, names, 1)
             hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names)}"
@@ -116,7 +116,7 @@ def _checked(algorithm: str, values: Mapping[str, Any], source: str) -> dict[str
             by_option = source == "--set " and name in OPTIONS
             option = f"--{name.replace('_', '-')}" if by_option else f"{source}{name}"
             raise ArgumentError(f"{option} is {value!r}; it must be {possible}")
-    return values
+    return checked
 
 
 @dataclasses.dataclass(frozen=True)

@@ -16,7 +16,7 @@ import pytest
 from pearl_marl import get_spec, register
 from pearl_marl.errors import ArgumentError
 
-from ..toy import SLIDE
+from ..toy import LADDER
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 training = importlib.import_module("pearl_marl.training.run")
@@ -271,26 +271,23 @@ def test_a_preset_is_of_the_spec(pearl: Pearl, tmp_path: Path) -> None:
     """The first says how an environment is learned; what is set by hand goes before it."""
     small = {"n_agents": 8, "iterations": 1, "rollout_length": 4}
     presets = {"pqn": {**small, "q_lambda": 0.5}, "ppo": small}
-    register(replace(SLIDE, name="LearnedSlide", presets=presets))
-    assert training.settings_for("pqn", "LearnedSlide", {"q_lambda": 0.25}).q_lambda == 0.25
-    status, _, err = pearl("train", "LearnedSlide", "--out", tmp_path / "run")
+    register(replace(LADDER, name="LearnedLadder", presets=presets))
+    assert training.settings_for("pqn", "LearnedLadder", {"q_lambda": 0.25}).q_lambda == 0.25
+    status, _, err = pearl("train", "LearnedLadder", "--out", tmp_path / "run")
     assert status == 0, err
-    config = json.loads((tmp_path / "run" / "config.json").read_text())
+    config = json.loads((tmp_path / "run" / "config.json").read_text())["settings"]
     assert (config["algorithm"], config["settings"]["q_lambda"]) == ("pqn", 0.5)
 
 
 @pytest.mark.parametrize(
     ("preset", "words"),
     [
-        (
-            {"qlambda": 0.5},
-            "LearnedSlide's preset: qlambda: pqn has no such setting; did you mean 'q_lambda'?",
-        ),
-        ({"q_lambda": 2}, "LearnedSlide's preset: q_lambda is 2; it must be a number from 0 to 1"),
+        ({"qlambda": 0.5}, "qlambda: pqn has no such setting; did you mean 'q_lambda'?"),
+        ({"q_lambda": 2}, "q_lambda is 2; it must be a number from 0 to 1"),
     ],
 )
 @pytest.mark.usefixtures("toys")
 def test_a_preset_is_checked(preset: dict[str, Any], words: str) -> None:
-    register(replace(SLIDE, name="LearnedSlide", presets={"pqn": preset}))
-    with pytest.raises(ArgumentError, match=re.escape(f"LearnedSlide's preset: {words}")):
-        training.settings_for("pqn", "LearnedSlide", {})
+    register(replace(LADDER, name="LearnedLadder", presets={"pqn": preset}))
+    with pytest.raises(ArgumentError, match=re.escape(f"LearnedLadder's preset: {words}")):
+        training.settings_for("pqn", "LearnedLadder", {})
