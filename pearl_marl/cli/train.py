@@ -28,7 +28,7 @@ Algorithm = Annotated[
         help="`ppo`, `pqn`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `vdn`, `qmix`, "
         "`self-play`.",
         autocompletion=common.completed(lambda: ALGORITHMS),
-        show_default="`pqn` of MountainCar without --quantize, else `ppo`",
+        show_default="that of the first preset, `ppo` without one or with --quantize",
     ),
 ]
 Agents = Annotated[
