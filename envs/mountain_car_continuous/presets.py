@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 PRESETS: dict[str, dict[str, Any]] = {
-    # As above; and the goal is worth 100.
+    # The goal is far: its value has to travel back. It is worth 100.
     "ppo": {
         "n_agents": 2048,
         "rollout_length": 16,

@@ -6,8 +6,7 @@ from typing import Any
 
 from pearl_marl.spec import EnvSpec
 
-SIZES = {"tiny": (1, 3), "small": (2, 3), "medium": (2, 5), "large": (3, 5)}
-"""Rows and columns of blocks of racks, by the package's names."""
+from .rules import SIZES
 
 
 def make(spec: EnvSpec) -> Any:

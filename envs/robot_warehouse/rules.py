@@ -6,6 +6,9 @@ from typing import NamedTuple
 
 from pearl_marl.golden import Word
 
+SIZES = {"tiny": (1, 3), "small": (2, 3), "medium": (2, 5), "large": (3, 5)}
+"""Rows and columns of blocks of racks, by the package's names."""
+
 
 class WarehouseRules(NamedTuple):
     """What the options come to.

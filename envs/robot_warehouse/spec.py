@@ -13,10 +13,10 @@ from pearl_marl.layout import Layout
 from pearl_marl.spec import EnvSpec, Grid, Peer
 
 from .moves import MOST
-from .peers import SIZES, make
+from .peers import make
 from .picture import make_draw
 from .presets import PRESETS
-from .rules import WarehouseRules
+from .rules import SIZES, WarehouseRules
 from .step import make_golden
 
 REWARDS = {"individual": (0.0, 1.0), "global": (0.0, 1.0, 2.0), "two_stage": (0.0, 0.5)}

@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from pearl_marl.batch.actions import random_actions, random_allowed
 from pearl_marl.benchmark.measure import Contender, Game, Step, UnavailableError
+from pearl_marl.benchmark.tables import ENVPOOL
 from pearl_marl.spec import EnvSpec, Peer
 
 GYMNASIUM_SYNC_LIMIT = 1024
@@ -28,7 +29,7 @@ GYMNASIUM_SYNC_LIMIT = 1024
 GYMNASIUM_ASYNC_LIMIT = 16
 """A process for each: with more, the machine runs out of cores."""
 
-ENVPOOL, ASYNCHRONOUS = "EnvPool", "Gymnasium AsyncVectorEnv"
+_ENVPOOL, ASYNCHRONOUS = "EnvPool", "Gymnasium AsyncVectorEnv"
 _ONE_BY_ONE = "observations, rewards, ends; Python, one thread"
 _ONE_PLAYER = "observation, mask, reward, end of one player; no wrappers that check; Python, one thread"
 
@@ -38,12 +39,13 @@ def peers(spec: EnvSpec, n: int) -> list[Contender]:
     sync, asynchronous = min(n, GYMNASIUM_SYNC_LIMIT), min(n, GYMNASIUM_ASYNC_LIMIT)
     arrays = "all result arrays"
     processes, own = (partial(_vectorised, mode=mode) for mode in ("async", "vector_entry_point"))
-    envpool = _of_envpool(spec)
-    agents = envpool.agents or spec.agents
-    texts = f"{arrays}; all cores", "the mask of the player on turn" * spec.turns, envpool.differs
-    counts = "; ".join(filter(None, texts))
+    texts = [f"{arrays}; all cores", "the mask of the player on turn"][: 1 + spec.turns]
+    of_envpool, agents = _of_envpool(spec), _envpool_agents(spec)
+    if of_envpool is not None and of_envpool.differs:
+        texts.append(of_envpool.differs)
+    counts = "; ".join(texts)
     rows: list[tuple[str, str, int, Callable[[EnvSpec, int], Step | Game]]] = [
-        (f"{ENVPOOL}, sync", counts, max(n // agents, 1) * agents, _envpool)
+        (ENVPOOL, counts, max(n // agents, 1) * agents, _envpool)
     ]
     few = max(sync // spec.agents, 1) * spec.agents
     for library in spec.peers:
@@ -51,9 +53,9 @@ def peers(spec: EnvSpec, n: int) -> list[Contender]:
             peer = peer_of(spec, library)
             given = {*(peer.options or ()), *peer.parameters}
             by_default = library in IDS and not given.issuperset(spec.options)
-            text = f"{arrays}{', default options' * by_default}; JAX, compiled, on all cores"
+            text = f"{arrays}{', default options' if by_default else ''}; JAX, compiled, on all cores"
             rows.append((library, text, n, AT_ONCE[library]))
-        elif library != ENVPOOL:
+        elif library != _ENVPOOL:
             text = _ONE_PLAYER if spec.turns else _ONE_BY_ONE
             rows.append((library, text, few, partial(_in_python, library)))
     if spec.agents == 1:
@@ -86,10 +88,11 @@ def installed(package: str | None = None) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        here = package is not None and any(True for _ in metadata.Distribution.discover(name=package))
-        raise UnavailableError(
-            f"not installed: pip install {error.name if here else package or error.name}"
-        ) from None
+        missing = str(error.name).partition(".")[0]
+        text = f"pip install {package or missing}"
+        if package is not None and package != missing:
+            text += f" ({missing} is missing)"
+        raise UnavailableError(f"not installed: {text}") from None
 
 
 @contextmanager
@@ -116,9 +119,10 @@ def _actions(spec: EnvSpec, count: int, dtype: Any) -> npt.NDArray[Any]:
     return random_actions(spec, np.random.default_rng(0), count).astype(dtype)
 
 
-def _as_taken(peer: Peer, spec: EnvSpec, actions: npt.NDArray[Any]) -> Any:
+def _as_taken(spec: EnvSpec, library: str, actions: npt.NDArray[Any]) -> Any:
     """Return actions as a library takes them."""
-    return actions if peer.actions is None else peer.actions(spec, actions)
+    peer = peer_of(spec, library) if library in spec.peers else None
+    return actions if peer is None or peer.actions is None else peer.actions(spec, actions)
 
 
 def _required(spec: EnvSpec, package: str) -> str:
@@ -128,8 +132,16 @@ def _required(spec: EnvSpec, package: str) -> str:
     return spec.oracle
 
 
-def _of_envpool(spec: EnvSpec) -> Peer:
-    return peer_of(spec, ENVPOOL) if ENVPOOL in spec.peers else Peer(spec.oracle or "")
+def _of_envpool(spec: EnvSpec) -> Peer | None:
+    """Return what EnvPool calls an environment: by default what Gymnasium does."""
+    if _ENVPOOL in spec.peers:
+        return peer_of(spec, _ENVPOOL)
+    return None if spec.oracle is None else Peer(spec.oracle)
+
+
+def _envpool_agents(spec: EnvSpec) -> int:
+    peer = _of_envpool(spec)
+    return spec.agents if peer is None else peer.agents or spec.agents
 
 
 def envpool_of(spec: EnvSpec, n: int) -> Any:
@@ -143,7 +155,9 @@ def envpool_of(spec: EnvSpec, n: int) -> Any:
     with installed("'.[bench]'"):
         import envpool
     peer = _of_envpool(spec)
-    name = str(peer.make) or _required(spec, ENVPOOL)
+    if peer is None:
+        raise UnavailableError(f"EnvPool has no {spec.name}")
+    name = str(peer.make)
     options = dict(spec.options)
     known = envpool.list_all_envs()
     if name not in known:  # it may have another version of it
@@ -153,7 +167,7 @@ def envpool_of(spec: EnvSpec, n: int) -> Any:
         raise UnavailableError(f"EnvPool {metadata.version('envpool')} has no {family.rpartition('/')[2]}")
     if spec.configure is not None and options != spec.configure().options:
         raise UnavailableError(f"measured with default options only, not {options}")
-    return envpool.make(name, env_type="gymnasium", num_envs=n // (peer.agents or spec.agents))
+    return envpool.make(name, env_type="gymnasium", num_envs=n // _envpool_agents(spec))
 
 
 def _envpool(spec: EnvSpec, n: int) -> Step | Game:
@@ -163,7 +177,7 @@ def _envpool(spec: EnvSpec, n: int) -> Step | Game:
         if spec.agents > 1:
             return _envpool_worlds(envs, obs, infos)
         actions = _actions(spec, n, envs.action_space.dtype)
-    taken = _as_taken(_of_envpool(spec), spec, actions)
+    taken = _as_taken(spec, _ENVPOOL, actions)
     return lambda: envs.step(taken)
 
 
@@ -201,37 +215,55 @@ def _in_python(library: str, spec: EnvSpec, count: int) -> Step | Game:
     with installed(library), silence():
         worlds = [_made(spec, library) for _ in range(count // spec.agents)]
     for i, world in enumerate(worlds):
-        if hasattr(world, "action_spec"):  # dm_env's, which were made with a seed
+        if _is_dm_env(world):  # its reset takes no seed
             world.reset()
         else:
             world.reset(seed=i)
     if spec.turns:
         return _turn_by_turn(worlds)
-    step, peer = partial(_one_by_one, worlds), peer_of(spec, library)
+    peer, by_agent = peer_of(spec, library), hasattr(worlds[0], "possible_agents")
+    if _is_dm_env(worlds[0]):
+        step = partial(_step_endless, worlds)
+    else:
+        step = partial(_step_by_agent if by_agent else _one_by_one, worlds)
     if (choose := peer.choose) is not None:
         chance = random.Random(0)
         return Game(lambda: [choose(world, chance) for world in worlds], step)
-    actions = _as_taken(peer, spec, random_actions(spec, np.random.default_rng(0), count))
+    actions = _as_taken(spec, library, random_actions(spec, np.random.default_rng(0), count))
     if peer.actions is None and spec.agents > 1:
         actions = actions.reshape(len(worlds), spec.agents, *actions.shape[1:])
     if isinstance(actions, np.ndarray) and actions.ndim == 1 + (spec.agents > 1):
         actions = actions.tolist()  # games in Python index faster by its own numbers
-    if hasattr(worlds[0], "possible_agents"):
+    if by_agent:
         pairs = zip(worlds, actions, strict=True)
         actions = [dict(zip(world.agents, row, strict=True)) for world, row in pairs]
     return partial(step, actions)
 
 
+def _is_dm_env(world: Any) -> bool:
+    return hasattr(world, "action_spec")
+
+
 def _one_by_one(worlds: Sequence[Any], actions: Iterable[Any]) -> None:
-    """Step each environment; those that end begin again, and dm_env's do so by themselves."""
+    """Step each of Gymnasium's environments; those that end begin again."""
     for world, chosen in zip(worlds, actions, strict=True):
-        result = world.step(chosen)
-        if hasattr(world, "possible_agents"):
-            ended = not world.agents
-        else:
-            ended = len(result) == 5 and (result[2] or result[3])
-        if ended:
+        _, _, terminated, truncated, _ = world.step(chosen)
+        if terminated or truncated:
             world.reset()
+
+
+def _step_by_agent(worlds: Sequence[Any], actions: Iterable[Any]) -> None:
+    """Step each of PettingZoo's worlds; those that no agent is left in begin again."""
+    for world, chosen in zip(worlds, actions, strict=True):
+        world.step(chosen)
+        if not world.agents:
+            world.reset()
+
+
+def _step_endless(worlds: Sequence[Any], actions: Iterable[Any]) -> None:
+    """Step each of dm_env's environments, which begin again by themselves."""
+    for world, chosen in zip(worlds, actions, strict=True):
+        world.step(chosen)
 
 
 def _turn_by_turn(games: Sequence[Any]) -> Game:
@@ -345,7 +377,7 @@ def _jumanji(spec: EnvSpec, count: int) -> Step:
         from jumanji.wrappers import VmapAutoResetWrapper
 
         env: Any = VmapAutoResetWrapper(_made(spec, "jumanji"))
-    actions = _as_taken(peer_of(spec, "jumanji"), spec, _actions(spec, count, np.int32))
+    actions = _as_taken(spec, "jumanji", _actions(spec, count, np.int32))
     last = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), count))
     compiled = jax.jit(env.step)
 

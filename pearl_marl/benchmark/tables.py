@@ -74,7 +74,7 @@ def environments_table(environments: Iterable[tuple[str, Iterable[Contender]]]) 
     rows = []
     for name, contenders in environments:
         rates = {c.name: c.rate for c in contenders if c.unavailable is None}
-        others = (name for name in rates if name not in (KERNEL, BATCH, ENVPOOL))
+        others = (peer for peer in rates if peer not in (KERNEL, BATCH, ENVPOOL))
         best = max(others, key=rates.__getitem__, default="")
         cells = [name, rate(rates[KERNEL]), rate(rates[BATCH])]
         for peer, label in ((ENVPOOL, ""), (best, f", {SHORT.get(best, best)}")):

@@ -80,7 +80,7 @@ class TrainerModule(NamedTuple):
     module: str | None
     tasks: str | tuple[str, ...]  # what the names of its tasks begin with
     packages: tuple[str, ...]
-    library: str | None = None  # whose environments it learns; None for those of all
+    library: str | None = None  # that has to be among the environment's peers
     problem: str | None = None  # why it cannot be run at all
 
     def missing(self, task: TrainingTask) -> str | None:

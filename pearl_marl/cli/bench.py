@@ -258,8 +258,7 @@ def _every(
         return
     notes = (
         f"Agent-steps per second, {about:,} agents; x is step_batch over that peer. Sync and NumPy are "
-        "Gymnasium's SyncVectorEnv and its own vectorised form, PettingZoo its connect_four_v3. What each "
-        "counts: `pearl bench steps ENV`.",
+        "Gymnasium's SyncVectorEnv and its own vectorised form. What each counts: `pearl bench steps ENV`.",
         _medians(results[0]),
     )
     common.print_table("Agent-steps per second", environments_table(environments), notes, as_markdown)

@@ -15,7 +15,9 @@ from pearl_marl.cli import common
 from pearl_marl.cli import quantize as integers
 from pearl_marl.cli.common import error_console
 from pearl_marl.cli.interrupts import interrupts
+from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError
+from pearl_marl.spec import EnvSpec
 
 ALGORITHMS = ("ppo", "pqn", "dqn", "q-learning", "ippo", "mappo", "iql", "vdn", "qmix", "self-play")
 REMEMBERING = ("ppo", "ippo", "mappo", "pqn", "vdn", "qmix")
@@ -28,7 +30,7 @@ Algorithm = Annotated[
         help="`ppo`, `pqn`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `vdn`, `qmix`, "
         "`self-play`.",
         autocompletion=common.completed(lambda: ALGORITHMS),
-        show_default="that of the first preset, `ppo` without one or with --quantize",
+        show_default="that of the environment's first preset, else `ppo`; with --quantize `ppo`",
     ),
 ]
 Agents = Annotated[
@@ -134,8 +136,8 @@ def command(
     spec = common.spec_of(env_id, option)
     by_default = algo is None
     if algo is None:
-        algo = "ppo" if quantize else next(iter(spec.presets), "ppo")
-    if algo not in ALGORITHMS:
+        algo = "ppo" if quantize else next(iter(get_spec(env_id).presets), "ppo")
+    elif algo not in ALGORITHMS:
         near = difflib.get_close_matches(algo, ALGORITHMS, 1)
         hint = f"did you mean {near[0]!r}?" if near else f"possible are {', '.join(map(repr, ALGORITHMS))}"
         raise ArgumentError(f"--algo is {algo!r}; {hint}")
@@ -157,7 +159,7 @@ def command(
         if algo not in REMEMBERING:
             raise ArgumentError(
                 f"{algo} learns no policies with memory: leave --memory out, or use one of "
-                f"{', '.join(REMEMBERING)}"
+                f"{', '.join(REMEMBERING)}{_learns(algo, spec) if by_default else ''}"
             )
     chosen = {"n_agents": n_agents, "iterations": iterations, "memory": memory}
     # --seed always has a value, which must not overrule --set seed=N.
@@ -170,7 +172,7 @@ def command(
         except ArgumentError as error:
             if not by_default:
                 raise
-            raise ArgumentError(f"{error} (without --algo, {algo} learns {spec.name})") from None
+            raise ArgumentError(f"{error}{_learns(algo, spec)}") from None
     for warning in renamed:
         error_console.print(f"pearl: {warning.message}", markup=False, soft_wrap=True)
     plan = training.Training(env_id, algo, settings, dict(spec.options), device, goal, evaluate_every)
@@ -203,6 +205,11 @@ def command(
     )
     if quantize:
         integers.show(integers.quantize_run(out))
+
+
+def _learns(algorithm: str, spec: EnvSpec) -> str:
+    """Return what a message says besides where nobody has named the algorithm."""
+    return f" (without --algo, {algorithm} learns {spec.name})"
 
 
 def _train(run: Any, title: str, iterations: int) -> None:

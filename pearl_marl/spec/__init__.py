@@ -186,11 +186,11 @@ class EnvSpec:
     grid
         How observations fall onto a grid, for heat maps.
     peers
-        By library, what it calls this environment, or a :class:`Peer`, which ``pearl bench`` times beside
-        ours. The oracle is timed in any case, with Gymnasium and EnvPool.
+        By library, what it calls this environment, or a :class:`Peer`: ``pearl bench`` times it beside ours.
+        The library's name is what pip installs it by. Gymnasium and EnvPool are asked for the oracle, too.
     presets
-        By algorithm, settings of trainings that suit it better than the defaults. Without ``--algo``,
-        ``pearl train`` learns by the first.
+        By algorithm, settings that differ from its defaults. Without ``--algo``, ``pearl train`` takes the
+        first. They are those of default options.
     """
 
     name: str

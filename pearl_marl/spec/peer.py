@@ -15,21 +15,22 @@ class Peer(NamedTuple):
     ----------
     make
         The library's id of it, for EnvPool, gymnax and pgx. For others ``"module:name"``, which is called
-        with the spec's options; or a function that takes the spec. Either returns one environment of the
-        kind of Gymnasium, PettingZoo, jumanji, JaxMARL or dm_env.
+        with the spec's options, or a function that takes the spec; it returns one environment: jumanji's or
+        JaxMARL's for these libraries, else one of the kind of Gymnasium, PettingZoo or dm_env.
     options
-        The options that a maker takes. Without it, makers by ``"module:name"`` take all, and gymnax none.
+        The options that the library takes. By default gymnax takes none, and ``"module:name"`` all.
     parameters
         The options that are parameters of gymnax's environment.
     actions
-        Takes the spec and actions of all agents, an array of shape ``(n, ...)``, and returns them as the
-        library takes them: one entry for each of its environments.
+        Takes the spec and actions of all agents, an array of shape ``(n, ...)``, and returns them as EnvPool,
+        jumanji or a library in Python takes them: one entry for each environment.
     choose
-        Takes an environment and a ``random.Random``, and returns its next actions, where not all are legal.
+        Takes an environment of a library in Python and a ``random.Random``, and returns its next actions.
+        Without it they are the same in every step. In games of turns they are legal by the masks.
     agents
-        How many agents share one of its environments, where ours has another number.
+        How many agents share one of EnvPool's environments, where ours has another number.
     differs
-        How it differs from ours, for the table.
+        How EnvPool's environment differs from ours, for the table.
     """
 
     make: str | Callable[[Any], Any]

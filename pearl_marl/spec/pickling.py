@@ -73,9 +73,11 @@ def _configured(configure: Callable[..., Any], options: dict[str, Any], changed:
 
 
 def _functions(value: Any) -> Iterator[types.FunctionType]:
-    """Yield a value if it is a function, else those in it if it is a tuple."""
+    """Yield a value if it is a function, else those in it if it is a tuple or a mapping."""
     if isinstance(value, types.FunctionType):
         yield value
+    elif isinstance(value, Mapping):
+        yield from _functions(tuple(value.values()))
     elif isinstance(value, tuple):
         for part in value:
             yield from _functions(part)

@@ -8,7 +8,7 @@ import difflib
 import math
 import re
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -81,13 +81,16 @@ def settings_for(
     ArgumentError
         There is no such algorithm or setting, or a value is out of its range.
     """
+    spec, possible = get_spec(env_id), ", ".join(map(repr, (*ALGORITHMS, *ALIASES)))
+    presets = {ALIASES.get(name, name): preset for name, preset in spec.presets.items()}
+    for name in presets:
+        if name not in ALGORITHMS:
+            raise ArgumentError(f"{spec.name} has a preset of {name!r}; possible are {possible}")
     algorithm = ALIASES.get(algorithm, algorithm)
     if algorithm not in ALGORITHMS:
-        possible = ", ".join(map(repr, (*ALGORITHMS, *ALIASES)))
         raise ArgumentError(f"--algo is {algorithm!r}; possible are {possible}")
-    changes = _checked(algorithm, changes, "--set ")
-    spec = get_spec(env_id)
-    preset = _checked(algorithm, spec.presets.get(algorithm, {}), f"{spec.name}'s preset: ")
+    changes = _checked(algorithm, changes, _option)
+    preset = _checked(algorithm, presets.get(algorithm, {}), lambda name: f"{spec.name}'s preset of {name}")
     settings = SETTINGS[algorithm](**{**preset, **changes})
     if "n_agents" not in changes:
         n = max(settings.n_agents // agents, 1) * agents
@@ -102,8 +105,15 @@ def settings_for(
     return dataclasses.replace(settings, blocks=min(BLOCKS, settings.n_agents))
 
 
-def _checked(algorithm: str, values: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """Return settings by the names that they have now, each of which exists and is within its range."""
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}" if name in OPTIONS else f"--set {name}"
+
+
+def _checked(algorithm: str, values: Mapping[str, Any], where: Callable[[str], str]) -> dict[str, Any]:
+    """Return settings by their present names, after a check of names and values.
+
+    ``where`` says where a setting of that name was given.
+    """
     kind = SETTINGS[algorithm]
     names = [setting.name for setting in dataclasses.fields(kind)]
     checked: dict[str, Any] = kind.renamed(values)
@@ -111,11 +121,9 @@ def _checked(algorithm: str, values: Mapping[str, Any], source: str) -> dict[str
         if name not in names:
             near = difflib.get_close_matches(name, names, 1)
             hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(names)}"
-            raise ArgumentError(f"{source}{name}: {algorithm} has no such setting; {hint}")
+            raise ArgumentError(f"{where(name)}: {algorithm} has no such setting; {hint}")
         if value not in (possible := kind.range(name)):
-            by_option = source == "--set " and name in OPTIONS
-            option = f"--{name.replace('_', '-')}" if by_option else f"{source}{name}"
-            raise ArgumentError(f"{option} is {value!r}; it must be {possible}")
+            raise ArgumentError(f"{where(name)} is {value!r}; it must be {possible}")
     return checked
 
 

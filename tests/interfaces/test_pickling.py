@@ -305,7 +305,7 @@ from gymnasium.spaces import Discrete
 import pearl_marl
 from pearl_marl import EnvSpec
 from pearl_marl.layout import Bits
-from pearl_marl.spec import Golden
+from pearl_marl.spec import Golden, Peer
 
 class State(NamedTuple):
     place: Bits[4]
@@ -325,11 +325,11 @@ def configure(by=1):
 def plain_step(state, action, draws):
     return State((state.place + action) & 15), 0, state.place == 9
 
-def plain(name, step):
+def plain(name, step, **more):
     return EnvSpec(
         name=name, version=0, summary="", rewards=(1.0,),
         observation_space=Discrete(16), action_space=Discrete(2),
-        golden=Golden(State, initial, step, observe))
+        golden=Golden(State, initial, step, observe), **more)
 
 def initial(draws):
     return State(0)
@@ -344,6 +344,7 @@ for spec in (CONFIGURED, PLAIN, HELD):
     pearl_marl.register(spec)
 del spec
 pearl_marl.register(plain("Registered", make_step(2)))
+pearl_marl.register(plain("Peered", plain_step, peers={"games": Peer(lambda spec: None)}))
 """
 
 
@@ -364,7 +365,7 @@ def steps(env: Any) -> list[Any]:
 
 
 def test_environments_of_users_go_on(users: str) -> None:
-    for name in ("Configured", "Plain", "Held", "Registered"):
+    for name in ("Configured", "Plain", "Held", "Registered", "Peered"):
         env = pearl_marl.parallel_env(f"{users}:{name}", 2, device="reference")
         env.reset()
         other = pickled(env)

@@ -289,5 +289,15 @@ def test_a_preset_is_of_the_spec(pearl: Pearl, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("toys")
 def test_a_preset_is_checked(preset: dict[str, Any], words: str) -> None:
     register(replace(LADDER, name="LearnedLadder", presets={"pqn": preset}))
-    with pytest.raises(ArgumentError, match=re.escape(f"LearnedLadder's preset: {words}")):
+    with pytest.raises(ArgumentError, match=re.escape(f"LearnedLadder's preset of {words}")):
         training.settings_for("pqn", "LearnedLadder", {})
+
+
+@pytest.mark.usefixtures("toys")
+def test_presets_are_by_algorithm() -> None:
+    """An alias stands for its algorithm, and another name is refused, whichever is asked for."""
+    register(replace(LADDER, name="LearnedLadder", presets={"ippo": {"clip": 0.3}}))
+    assert training.settings_for("ppo", "LearnedLadder", {}).clip == 0.3
+    register(replace(LADDER, name="OtherLadder", presets={"ppo": {}, "pnq": {}}))
+    with pytest.raises(ArgumentError, match="OtherLadder has a preset of 'pnq'; possible are 'ppo', "):
+        training.settings_for("ppo", "OtherLadder", {})
