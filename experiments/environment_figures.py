@@ -6,7 +6,7 @@ sources. Measurements come there by
 
 - ``--measure core NAME``: what the core takes by itself, without the memories and the bus around it, under
   default options, generated for 150 MHz and synthesised by Yosys for the 7 series and for the ECP5. That of
-  MemoryChain takes 8 seconds, that of SimpleSpread more than eight minutes;
+  MemoryChain takes 8 seconds, that of SimpleSpread 13 minutes of a processor;
 - ``--measure rates NAME``: agent-steps per second beside the fastest peer, as ``pearl bench steps`` times
   them. Peers that are not installed are named in the table;
 - ``--verified FILE``, which ``pearl verify NAME --device rtl --json`` has printed.
