@@ -65,10 +65,16 @@ def test_limits_starts_and_resets(name: str, how: dict[str, Any], mode: Autorese
 
 
 @pytest.mark.usefixtures("ray_cluster")
-@pytest.mark.parametrize("name", ["CliffWalking", "ConnectFour", "LevelBasedForaging", "Seaquest"])
-def test_in_a_cluster(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "n_agents"),
+    [
+        *((name, 1_000) for name in pearl_marl.list_envs()),
+        *((name, 43_008) for name in ("CliffWalking", "ConnectFour", "LevelBasedForaging", "Seaquest")),
+    ],
+)
+def test_in_a_cluster(name: str, n_agents: int) -> None:
     policy = policy_for(name)
-    n = -(-43_008 // policy.spec.agents)
+    n = -(-n_agents // policy.spec.agents)
     shared, alone = opened(Ray(["native", "native"]), name, n), opened(Native(), name, n)
     assert_same(shared.rollout(policy, STEPS), alone.rollout(policy, STEPS))
     assert_same_place(shared, alone)
