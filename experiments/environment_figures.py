@@ -138,7 +138,7 @@ def measured_rates(spec: EnvSpec, rounds: int, seconds: float) -> dict[str, Any]
     contenders = compared(spec, SLOTS // spec.agents * spec.agents)
     list(time_in_turns(contenders, rounds, seconds))
     found = {contender.name: contender.rate for contender in contenders if contender.unavailable is None}
-    theirs = (c.name for c in contenders if not c.ours and c.name in found)
+    theirs = (name for name in found if name not in (KERNEL, BATCH))
     best = max(theirs, key=found.__getitem__, default=None)
     absent = [c.name for c in contenders if (c.unavailable or "").startswith("not installed")]
     return {

@@ -17,7 +17,6 @@ from pearl_marl.cli.common import error_console
 from pearl_marl.cli.interrupts import interrupts
 from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec
 
 ALGORITHMS = ("ppo", "pqn", "dqn", "q-learning", "ippo", "mappo", "iql", "vdn", "qmix", "self-play")
 REMEMBERING = ("ppo", "ippo", "mappo", "pqn", "vdn", "qmix")
@@ -159,7 +158,7 @@ def command(
         if algo not in REMEMBERING:
             raise ArgumentError(
                 f"{algo} learns no policies with memory: leave --memory out, or use one of "
-                f"{', '.join(REMEMBERING)}{_learns(algo, spec) if by_default else ''}"
+                f"{', '.join(REMEMBERING)}{_learns(algo, spec.name) if by_default else ''}"
             )
     chosen = {"n_agents": n_agents, "iterations": iterations, "memory": memory}
     # --seed always has a value, which must not overrule --set seed=N.
@@ -172,7 +171,7 @@ def command(
         except ArgumentError as error:
             if not by_default:
                 raise
-            raise ArgumentError(f"{error}{_learns(algo, spec)}") from None
+            raise ArgumentError(f"{error}{_learns(algo, spec.name)}") from None
     for warning in renamed:
         error_console.print(f"pearl: {warning.message}", markup=False, soft_wrap=True)
     plan = training.Training(env_id, algo, settings, dict(spec.options), device, goal, evaluate_every)
@@ -207,9 +206,9 @@ def command(
         integers.show(integers.quantize_run(out))
 
 
-def _learns(algorithm: str, spec: EnvSpec) -> str:
-    """Return what a message says besides where nobody has named the algorithm."""
-    return f" (without --algo, {algorithm} learns {spec.name})"
+def _learns(algorithm: str, name: str) -> str:
+    """Return what a message adds where the algorithm was not named."""
+    return f" (without --algo, {algorithm} learns {name})"
 
 
 def _train(run: Any, title: str, iterations: int) -> None:
