@@ -40,10 +40,9 @@ def peers(spec: EnvSpec, n: int) -> list[Contender]:
     arrays = "all result arrays"
     processes, own = (partial(_vectorised, mode=mode) for mode in ("async", "vector_entry_point"))
     texts = [f"{arrays}; all cores", "the mask of the player on turn"][: 1 + spec.turns]
-    of_envpool, agents = _of_envpool(spec), _envpool_agents(spec)
-    if of_envpool is not None and of_envpool.differs:
-        texts.append(of_envpool.differs)
-    counts = "; ".join(texts)
+    of_envpool = _of_envpool(spec)
+    agents = of_envpool.agents or spec.agents
+    counts = "; ".join([*texts, *filter(None, [of_envpool.differs])])
     rows: list[tuple[str, str, int, Callable[[EnvSpec, int], Step | Game]]] = [
         (ENVPOOL, counts, max(n // agents, 1) * agents, _envpool)
     ]
@@ -119,10 +118,9 @@ def _actions(spec: EnvSpec, count: int, dtype: Any) -> npt.NDArray[Any]:
     return random_actions(spec, np.random.default_rng(0), count).astype(dtype)
 
 
-def _as_taken(spec: EnvSpec, library: str, actions: npt.NDArray[Any]) -> Any:
+def _as_taken(peer: Peer, spec: EnvSpec, actions: npt.NDArray[Any]) -> Any:
     """Return actions as a library takes them."""
-    peer = peer_of(spec, library) if library in spec.peers else None
-    return actions if peer is None or peer.actions is None else peer.actions(spec, actions)
+    return actions if peer.actions is None else peer.actions(spec, actions)
 
 
 def _required(spec: EnvSpec, package: str) -> str:
@@ -132,16 +130,9 @@ def _required(spec: EnvSpec, package: str) -> str:
     return spec.oracle
 
 
-def _of_envpool(spec: EnvSpec) -> Peer | None:
-    """Return what EnvPool calls an environment: by default what Gymnasium does."""
-    if _ENVPOOL in spec.peers:
-        return peer_of(spec, _ENVPOOL)
-    return None if spec.oracle is None else Peer(spec.oracle)
-
-
-def _envpool_agents(spec: EnvSpec) -> int:
-    peer = _of_envpool(spec)
-    return spec.agents if peer is None else peer.agents or spec.agents
+def _of_envpool(spec: EnvSpec) -> Peer:
+    """Return what EnvPool calls an environment: by default what Gymnasium does, or nothing."""
+    return peer_of(spec, _ENVPOOL) if _ENVPOOL in spec.peers else Peer(spec.oracle or "")
 
 
 def envpool_of(spec: EnvSpec, n: int) -> Any:
@@ -155,7 +146,7 @@ def envpool_of(spec: EnvSpec, n: int) -> Any:
     with installed("'.[bench]'"):
         import envpool
     peer = _of_envpool(spec)
-    if peer is None:
+    if not peer.make:
         raise UnavailableError(f"EnvPool has no {spec.name}")
     name = str(peer.make)
     options = dict(spec.options)
@@ -167,7 +158,7 @@ def envpool_of(spec: EnvSpec, n: int) -> Any:
         raise UnavailableError(f"EnvPool {metadata.version('envpool')} has no {family.rpartition('/')[2]}")
     if spec.configure is not None and options != spec.configure().options:
         raise UnavailableError(f"measured with default options only, not {options}")
-    return envpool.make(name, env_type="gymnasium", num_envs=n // _envpool_agents(spec))
+    return envpool.make(name, env_type="gymnasium", num_envs=n // (peer.agents or spec.agents))
 
 
 def _envpool(spec: EnvSpec, n: int) -> Step | Game:
@@ -177,7 +168,7 @@ def _envpool(spec: EnvSpec, n: int) -> Step | Game:
         if spec.agents > 1:
             return _envpool_worlds(envs, obs, infos)
         actions = _actions(spec, n, envs.action_space.dtype)
-    taken = _as_taken(spec, _ENVPOOL, actions)
+    taken = _as_taken(_of_envpool(spec), spec, actions)
     return lambda: envs.step(taken)
 
 
@@ -214,22 +205,17 @@ def _made(spec: EnvSpec, library: str) -> Any:
 def _in_python(library: str, spec: EnvSpec, count: int) -> Step | Game:
     with installed(library), silence():
         worlds = [_made(spec, library) for _ in range(count // spec.agents)]
+    of_dm_env, by_agent = (hasattr(worlds[0], name) for name in ("action_spec", "possible_agents"))
     for i, world in enumerate(worlds):
-        if _is_dm_env(world):  # its reset takes no seed
-            world.reset()
-        else:
-            world.reset(seed=i)
+        world.reset(**{} if of_dm_env else {"seed": i})
     if spec.turns:
         return _turn_by_turn(worlds)
-    peer, by_agent = peer_of(spec, library), hasattr(worlds[0], "possible_agents")
-    if _is_dm_env(worlds[0]):
-        step = partial(_step_endless, worlds)
-    else:
-        step = partial(_step_by_agent if by_agent else _one_by_one, worlds)
+    peer = peer_of(spec, library)
+    step = partial(_step_endless if of_dm_env else _step_by_agent if by_agent else _one_by_one, worlds)
     if (choose := peer.choose) is not None:
         chance = random.Random(0)
         return Game(lambda: [choose(world, chance) for world in worlds], step)
-    actions = _as_taken(spec, library, random_actions(spec, np.random.default_rng(0), count))
+    actions = _as_taken(peer, spec, random_actions(spec, np.random.default_rng(0), count))
     if peer.actions is None and spec.agents > 1:
         actions = actions.reshape(len(worlds), spec.agents, *actions.shape[1:])
     if isinstance(actions, np.ndarray) and actions.ndim == 1 + (spec.agents > 1):
@@ -238,10 +224,6 @@ def _in_python(library: str, spec: EnvSpec, count: int) -> Step | Game:
         pairs = zip(worlds, actions, strict=True)
         actions = [dict(zip(world.agents, row, strict=True)) for world, row in pairs]
     return partial(step, actions)
-
-
-def _is_dm_env(world: Any) -> bool:
-    return hasattr(world, "action_spec")
 
 
 def _one_by_one(worlds: Sequence[Any], actions: Iterable[Any]) -> None:
@@ -377,7 +359,7 @@ def _jumanji(spec: EnvSpec, count: int) -> Step:
         from jumanji.wrappers import VmapAutoResetWrapper
 
         env: Any = VmapAutoResetWrapper(_made(spec, "jumanji"))
-    actions = _as_taken(spec, "jumanji", _actions(spec, count, np.int32))
+    actions = _as_taken(peer_of(spec, "jumanji"), spec, _actions(spec, count, np.int32))
     last = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), count))
     compiled = jax.jit(env.step)
 

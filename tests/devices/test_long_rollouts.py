@@ -27,7 +27,6 @@ pytestmark = pytest.mark.exhaustive
 
 STEPS = 1_000
 
-
 ON_THE_CPU: list[Callable[[], Device]] = [
     lambda: Native(threads=1),
     lambda: Lockstep(Native(threads=2), Sharded([Native(threads=1), Native(threads=1)])),
@@ -111,10 +110,11 @@ def test_many_slots_in_simulated_hardware(
 
 
 def assert_same_in_hardware(hardware: Device, other: Device, policy: IntegerNetwork, steps: int) -> None:
-    """Compare a rollout on both; hardware has the sums of all agents together. Closes it."""
+    """Compare a rollout on both; hardware has the sums of all agents together. Closes both."""
     found, due = hardware.rollout(policy, steps), other.rollout(policy, steps)
     assert (found.episodes, found.truncated.sum()) == (due.episodes, due.truncated.sum())
     assert found.lengths.sum() == due.lengths.sum()
     assert found.returns.sum() == pytest.approx(due.returns.sum(), rel=1e-12)
     assert np.array_equal(hardware.snapshot().memory, other.snapshot().memory)
     hardware.close()
+    other.close()
