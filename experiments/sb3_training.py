@@ -111,7 +111,7 @@ class Evaluating(BaseCallback):
             return True
         self._next += self.every
         stopped = time.perf_counter()
-        mean = mean_return(self.env_id, best_actions(self.model), EVALUATION_LIMIT)
+        mean = mean_return(get_spec(self.env_id), best_actions(self.model), EVALUATION_LIMIT)
         self.points.append((stopped - self._began - self._paused, self.num_timesteps, mean))
         self.show(self.num_timesteps, mean)
         self._paused += time.perf_counter() - stopped

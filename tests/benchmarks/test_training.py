@@ -5,23 +5,28 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import json
+import warnings
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.spaces import Discrete
 
 from pearl_marl.benchmark import training, watch
 from pearl_marl.benchmark.training import OURS, TASKS, TRAINERS, TrainerModule, TrainingTask
 from pearl_marl.benchmark.watch import Watch
-from pearl_marl.envs import get_spec
+from pearl_marl.spec import EnvSpec
 
 from ..sampling import sampled
 
 Pearl = Callable[..., tuple[int, str, str]]
 NEEDS = {trainer.module: trainer.packages for trainer in TRAINERS if trainer.module is not None}
-PPO_TASKS = [task for task in TASKS if task.algorithm == "ppo"]
+TEAM_TRAINER = next(trainer for trainer in TRAINERS if trainer.module == "benchmarl")
+SINGLE = [module for module in NEEDS if module != TEAM_TRAINER.module]
+PPO_TASKS = [task for task in TASKS if task.name.startswith("PPO ")]
 POLE = next(task for task in PPO_TASKS if task.env_id == "CartPole")
+TEAM_TASKS = [task for task in TASKS if task.name.startswith(TEAM_TRAINER.tasks)]
 EASY = TrainingTask("PPO CartPole", "ppo", "CartPole", 475.0, least=1)
 
 
@@ -51,7 +56,7 @@ def watched(monkeypatch: pytest.MonkeyPatch, clock: Clock, task: TrainingTask, r
     """Return a watch after a training whose iterations of 10 steps take a second, and evaluations five."""
     coming = iter(returns)
 
-    def mean_return(env_id: str, choose: Any) -> float:
+    def mean_return(spec: EnvSpec, choose: Any) -> float:
         clock.now += 5
         return next(coming)
 
@@ -94,7 +99,7 @@ def test_without_a_goal_nobody_is_evaluated(monkeypatch: pytest.MonkeyPatch, clo
     assert made.rate == pytest.approx(10 / 3), "the first iteration is all that there is"
 
 
-@pytest.mark.parametrize("module", NEEDS)
+@pytest.mark.parametrize("module", SINGLE)
 @pytest.mark.parametrize("task", sampled(PPO_TASKS, (POLE,)), ids=lambda task: task.env_id)
 def test_a_few_iterations(monkeypatch: pytest.MonkeyPatch, module: str, task: TrainingTask) -> None:
     """Everybody takes our settings, and its policy's actions are ours."""
@@ -104,7 +109,7 @@ def test_a_few_iterations(monkeypatch: pytest.MonkeyPatch, module: str, task: Tr
         pytest.skip(str(entry.missing(task)))
     few = {"n_agents": 8, "rollout_length": 4, "minibatch": 16, "epochs": 2, "iterations": 5, "width": 8}
     settings = dataclasses.replace(task.settings(0), **few)
-    spec = get_spec(task.env_id)
+    spec = task.spec
     obs = np.zeros((8, *spec.observation_shape), spec.observation_dtype)
     ours = not (
         spec.name == "LevelBasedForaging" and "envpool" in entry.packages
@@ -134,7 +139,7 @@ def test_all_iterations_are_noted() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("module", NEEDS)
+@pytest.mark.parametrize("module", SINGLE)
 def test_everybody_balances_the_pole(module: str) -> None:
     made, noted = trainer(module), Watch(EASY._replace(seconds=600.0))
     made.train(EASY, EASY.settings(0), noted)
@@ -148,6 +153,35 @@ def test_dqn(module: str) -> None:
     noted = Watch(task._replace(goal=None, least=20, every=10))
     trainer(module).train(task, dataclasses.replace(task.settings(0), **few), noted)
     assert [steps for _, steps in noted.points] == [80, 160]
+
+
+@pytest.mark.parametrize("module", ["ours", "benchmarl"])
+@pytest.mark.parametrize("task", TEAM_TASKS, ids=lambda task: task.name)
+def test_teams(module: str, task: TrainingTask) -> None:
+    """Everybody learns in our worlds, and its policy's actions are among those that are possible."""
+    few = {"n_agents": 8, "rollout_length": 4, "minibatch": 16, "epochs": 2, "iterations": 5, "width": 8}
+    noted = InTeams(task._replace(goal=None, least=12, every=1))
+    with warnings.catch_warnings():
+        trainer(module).train(task, dataclasses.replace(task.settings(0), **few), noted)
+    assert [steps for _, steps in noted.points] == [32, 64, 96, 128, 160]
+
+
+class InTeams(Watch):
+    """A watch that has eight agents choose after every iteration. BenchMARL pickles it."""
+
+    def __call__(self, agent_steps: int, choose: Callable[..., Any]) -> bool:
+        spec = self.task.spec
+        obs, space = np.zeros((8, *spec.observation_shape), spec.observation_dtype), spec.action_space
+        assert isinstance(space, Discrete)
+        if spec.golden.masks is None:
+            actions = choose(obs)
+            assert all(action in space for action in actions)
+        else:
+            masks = np.eye(space.n, dtype=np.int8)[np.arange(8) % space.n]
+            actions = choose(obs, masks)
+            assert masks[np.arange(8), actions].all()
+        assert actions.shape == (8,)
+        return super().__call__(agent_steps, choose)
 
 
 def test_foragers_of_a_world_are_neighbours() -> None:
@@ -180,17 +214,18 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("few")
 def test_who_cannot_run_is_named(pearl: Pearl, tmp_path: Any) -> None:
-    call = ("bench", "training", "levelbasedforaging", "--quick", "--out", tmp_path)
+    call = ("bench", "training", "frozenlake", "--quick", "--out", tmp_path)
     status, out, err = pearl(*call)
     assert status == 0, err
-    result = json.loads((tmp_path / "trainings_LevelBasedForaging.json").read_text())
+    (settings,) = (task.settings(0) for task in TASKS if task.env_id == "FrozenLake")
+    result = json.loads((tmp_path / "trainings_FrozenLake.json").read_text())
     assert result["quick"]
-    assert result["goals"] == {"PPO LevelBasedForaging": None}
+    assert result["goals"] == {"PPO FrozenLake": None}
     ours, absent, broken = result["rows"]
     assert ours["contender"] == OURS
     assert ours["agent_steps_per_second"] > 0
     assert ours["seconds_to_goal"] is None
-    assert ours["agent_steps"] == 2 * 512 * 16
+    assert ours["agent_steps"] == 2 * settings.n_agents * settings.rollout_length
     assert ours["wall"] > ours["training_seconds"]
     assert "evaluations, imports and compilation not counted" in ours["what_counts"]
     assert absent["missing"].startswith("no_such_package not installed: make bench-peers")

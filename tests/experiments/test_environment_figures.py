@@ -42,7 +42,7 @@ def test_of_a_new_environment_nothing_is_known(folder: Path) -> None:
     assert figures.facts("Taxi") == dict.fromkeys(figures.FACTS)
     lines = f"{figures.software()}\n{figures.hardware()}".splitlines()
     assert "| [Taxi](../envs/taxi/README.md#how-it-is-checked) | - | - | 124 | 12 | - | - | - | - |" in lines
-    assert any(line.startswith("| Taxi | 4 | - | - | - | - | - | - | - | 64 |") for line in lines)
+    assert any(line.startswith("| Taxi | 4 | - | - | - | - | - | - | - | - | 64 |") for line in lines)
     figures.keep_fact("Taxi", "original", "Gymnasium 1.4.0")
     expected = dict.fromkeys(figures.FACTS) | {"original": "Gymnasium 1.4.0"}
     assert json.loads((folder / "taxi" / "facts.json").read_text()) == expected
@@ -76,15 +76,14 @@ def test_rates_are_kept_with_what_was_compared(
 def test_a_package_of_ones_own_is_measured_and_not_kept(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    core: dict[str, Any] = {
-        family: dict.fromkeys(("latency", "lut", "ff", "dsp"), 1_234) for family in ("xc7", "ecp5")
-    }
+    cells = dict.fromkeys(("latency", "lut", "ff", "dsp"), 1_234)
+    core: dict[str, Any] = {"xc7": cells, "ecp5": cells | {"mhz": None}}
     monkeypatch.setattr(figures, "measured_core", lambda _: core)
     monkeypatch.setattr(figures, "get_spec", lambda name: DRIFT if name == "toy:Drift" else get_spec(name))
     called(monkeypatch, "--measure", "core", "toy:Drift", "Catch")
     rows = capsys.readouterr().out.splitlines()[2:]
-    cells = " | 1,234" * 8
-    assert rows == [f"| toy:Drift{cells} |", f"| Catch{cells} |"]
+    columns = f"{' | 1,234' * 8} | -"
+    assert rows == [f"| toy:Drift{columns} |", f"| Catch{columns} |"]
     assert figures.facts("Catch")["core"] == core
     assert [path.parent.name for path in folder.glob("*/facts.json")] == ["catch"]
 

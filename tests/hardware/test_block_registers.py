@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from pearl_marl.hardware.block_registers import absorb
+from pearl_marl.hardware.block_registers import absorb, register_inputs
 
 CLOCK, ENABLE, RESET = 2, 3, 4
 
@@ -133,3 +133,19 @@ def test_what_a_multiplier_cannot_do_stays(change: Any) -> None:
     before = copy.deepcopy(module)
     assert absorb(module) == 0
     assert module == before
+
+
+def test_inputs_are_registered_but_for_the_clock() -> None:
+    behind = flip_flop(20, 30)
+    inputs = {"clk_i": [CLOCK], "valid_i": [ENABLE], "word_i": [20, 21]}
+    ports = {name: {"direction": "input", "bits": bits} for name, bits in inputs.items()}
+    module = {"cells": {"behind": behind}, "ports": ports | {"q_o": {"direction": "output", "bits": [30]}}}
+    register_inputs(module)
+    assert module["ports"]["clk_i"]["bits"] == [CLOCK]
+    assert module["ports"]["q_o"]["bits"] == [30]
+    outside = [bit for name in ("valid_i", "word_i") for bit in ports[name]["bits"]]
+    assert len(set(outside) - {CLOCK, ENABLE, RESET, 20, 21, 30}) == 3
+    registers = [cell["connections"] for cell in module["cells"].values() if cell is not behind]
+    made = [(register["DI"], register["Q"]) for register in registers]
+    assert made == [([bit], [inside]) for bit, inside in zip(outside, (ENABLE, 20, 21), strict=True)]
+    assert all(register["CLK"] == [CLOCK] for register in registers)

@@ -16,7 +16,7 @@ from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware import elaboration, fitting, synthesis, toolchain
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.fitting import PARTS
-from pearl_marl.hardware.synthesis import DesignMemory, Family, Usage
+from pearl_marl.hardware.synthesis import PLACEMENTS, DesignMemory, Family, Usage
 from pearl_marl.memory_map import default_map, memory_map
 
 SPEC = get_spec("CliffWalking")
@@ -143,6 +143,14 @@ def test_all_takes_no_more(more: list[str]) -> None:
 def test_no_clock_rate_without_free_tools() -> None:
     with pytest.raises(ArgumentError, match=r"an xc7 cannot be placed .* possible are ecp5, gowin"):
         synthesis.synthesise(Build.of(SPEC, 8, 4, 32), Family.XC7, fmax=True)
+
+
+@pytest.mark.parametrize("what", ["lut", "bram36", "dsp"])
+def test_a_part_has_room_for_so_much(what: str) -> None:
+    for placement in PLACEMENTS.values():
+        full = dict(placement.room) | {"ff": 10**6}
+        assert placement.fits(full)
+        assert not placement.fits(full | {what: placement.room[what] + 0.5})
 
 
 def test_a_missing_tool_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

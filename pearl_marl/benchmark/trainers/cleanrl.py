@@ -23,7 +23,6 @@ from torch.distributions import Categorical
 from pearl_marl.benchmark.peers import quiet_spaces
 from pearl_marl.benchmark.training import TrainingTask
 from pearl_marl.benchmark.watch import Watch
-from pearl_marl.envs import get_spec
 
 
 class Normalised:
@@ -102,7 +101,7 @@ class Agent(nn.Module):
 
 def environments(task: TrainingTask, n: int, seed: int) -> Any:
     """Return EnvPool's environments, or MinAtar's own through Gymnasium where EnvPool has no such game."""
-    oracle = get_spec(task.env_id).oracle or ""
+    oracle = task.spec.oracle or ""
     if "MinAtar" not in oracle:
         from . import envpool_agents
 

@@ -6,20 +6,19 @@ from typing import Any
 
 from pearl_marl.benchmark.training import TrainingTask
 from pearl_marl.benchmark.watch import Watch
-from pearl_marl.envs import get_spec
 from pearl_marl.training.run import ALGORITHMS
 
-FIRST = {"ppo": 1, "pqn": 1, "dqn": 11}
-"""Iterations after which a trainer has run all of its code, the warm-up of DQN included."""
+FIRST = {"dqn": 11}
+"""Iterations after which a trainer has run all of its code, the warm-up of DQN included; of others, 1."""
 
 
 def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     """Train until the watch says that it is over."""
     make: Any = ALGORITHMS[task.algorithm]
-    spec = get_spec(task.env_id)
+    spec = task.spec
     # A first trainer, which is thrown away, compiles or loads all kernels.
     before = make(spec, "native", settings)
-    while before.done < FIRST[task.algorithm]:
+    while before.done < FIRST.get(task.algorithm, 1):
         before.iterate()
     trainer = make(spec, "native", settings)
     watch.start()

@@ -20,7 +20,6 @@ import optax
 from pearl_marl.benchmark.peers import gymnax_of
 from pearl_marl.benchmark.training import TrainingTask
 from pearl_marl.benchmark.watch import Watch
-from pearl_marl.envs import get_spec
 
 
 class LearningStep(NamedTuple):
@@ -106,7 +105,7 @@ def network(params: Any, obs: Any) -> tuple[Any, Any]:
 
 def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     """Train until the watch says that it is over."""
-    env, env_params = gymnax_of(get_spec(task.env_id))
+    env, env_params = gymnax_of(task.spec)
     space: Any = env.observation_space(env_params)
     numbers, vector = not space.shape, len(space.shape) == 1
     shape = (int(space.n),) if numbers else space.shape

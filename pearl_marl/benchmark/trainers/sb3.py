@@ -18,7 +18,6 @@ from torch import Tensor, nn
 from pearl_marl.benchmark.peers import quiet_spaces
 from pearl_marl.benchmark.training import TrainingTask
 from pearl_marl.benchmark.watch import Watch
-from pearl_marl.envs import get_spec
 
 
 class EnvPoolVecEnv(VecEnv):
@@ -121,7 +120,7 @@ class Watched(BaseCallback):
 
 def environments(task: TrainingTask, n: int, seed: int) -> VecEnv:
     """Return EnvPool's environments, or MinAtar's own where EnvPool has no such game."""
-    oracle = get_spec(task.env_id).oracle or ""
+    oracle = task.spec.oracle or ""
     if "MinAtar" in oracle:
         env: VecEnv = DummyVecEnv([partial(gymnasium.make, oracle)] * n)
         env.seed(seed)
