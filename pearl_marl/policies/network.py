@@ -15,6 +15,7 @@ from torch.nn.functional import layer_norm
 from pearl_marl.compiler.packing import unpacked
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies import dense
+from pearl_marl.policies.convolution import FILTERS, SIDE, PictureLayer
 from pearl_marl.policies.memory import Memory, Recall
 from pearl_marl.spec import EnvSpec
 from pearl_marl.spec.elements import are_numbers, bounds
@@ -96,8 +97,8 @@ class Encoder(nn.Module):
         if len(space.shape) == 3:
             self.kind = "picture"
             height, breadth, channels = space.shape
-            self.convolution = nn.Conv2d(channels, 16, 3)
-            self.linear = nn.Linear(16 * (height - 2) * (breadth - 2), width)
+            self.convolution = nn.Conv2d(channels, FILTERS, SIDE)
+            self.linear = nn.Linear(FILTERS * (height - 2) * (breadth - 2), width)
             return
         size = int(np.prod(space.shape))
         self.linear = nn.Linear(size, width)
@@ -135,13 +136,17 @@ class Encoder(nn.Module):
         if self.kind == "numbers":
             found: Tensor = self.table(self.numbers(obs))
             return found.sum(1) + self.bias
-        if self.kind == "picture":
+        features: Tensor
+        if self.kind == "vector":
+            features = self.linear(self.standardised(obs))
+        elif self.linear.weight.is_cuda:
             planes = obs.permute(0, 3, 1, 2).float()
             # Channels stay last, as they are in the observations: to reorder them would be a copy.
-            vectors = self.convolution(planes).relu_().permute(0, 2, 3, 1).flatten(1)
+            features = self.linear(self.convolution(planes).relu_().permute(0, 2, 3, 1).flatten(1))
         else:
-            vectors = self.standardised(obs)
-        features: Tensor = self.linear(vectors)
+            layers = self.convolution, self.linear
+            weights = (tensor for layer in layers for tensor in (layer.weight, layer.bias))
+            features = PictureLayer.apply(obs, *weights)  # type: ignore[no-untyped-call]
         return features
 
     def numbers(self, obs: Tensor) -> Tensor:
