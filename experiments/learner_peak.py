@@ -42,23 +42,25 @@ def main() -> None:
     print(f"\nPeak: {max(peaks) / 1e9:.1f} GFLOP/s, the most of {len(peaks)} times.")
 
 
-def multiplications(model: nn.Module) -> tuple[int, int]:
+def multiplications(model: nn.Module, set_elements: float) -> tuple[int, int]:
     """Return the multiplications of a sample by the weights of a model without memory: forward, and back.
 
     Back, each weight is multiplied twice: for its own gradient, and for that of what it was multiplied by,
-    which the first layer's input does not need. Tables are not multiplied by.
+    which the first layer's input does not need. Tables are not multiplied by. Filters are, by the elements of
+    a picture that are not 0, of which there are ``set_elements``; back, what they made is made again.
     """
-    forward = unneeded = 0
+    forward = back = 0
     for module in model.modules():
         if isinstance(module, nn.Linear):
             forward += module.weight.numel()
-        elif isinstance(module, Encoder) and module.kind == "picture":
-            places = module.linear.in_features // module.convolution.out_channels
-            forward += module.convolution.weight.numel() * places
-            unneeded += module.convolution.weight.numel() * places
+            back += 2 * module.weight.numel()
+        elif isinstance(module, nn.Conv2d):
+            made = round(module.weight[:, 0].numel() * set_elements)
+            forward += made
+            back += 2 * made
         elif isinstance(module, Encoder) and module.kind == "vector":
-            unneeded += module.linear.weight.numel()
-    return forward, 2 * forward - unneeded
+            back -= module.linear.weight.numel()
+    return forward, back
 
 
 def measured(name: str) -> tuple[int, int, float, float, int]:
@@ -69,13 +71,15 @@ def measured(name: str) -> tuple[int, int, float, float, int]:
     """
     spec = get_spec(name)
     trainer = PPO(spec, "native", settings_for("ppo", name, {}, agents=spec.agents))
-    learn, last = trainer.learn, (0.0, 0)
+    learn, last, set_elements = trainer.learn, (0.0, 0), 0.0
 
     def timed(samples: RolloutBuffer, rows: Tensor) -> None:
-        nonlocal last
+        nonlocal last, set_elements
         began = time.process_time()
         learn(samples, rows)
         last = time.process_time() - began, len(rows) * trainer.settings.epochs
+        obs = trainer.model.actor.encoder.whole(samples.inputs.obs)
+        set_elements = float(obs.flatten(1).count_nonzero() / len(obs))
 
     trainer.learn = timed  # type: ignore[method-assign]
     trainer.iterate()  # compiles
@@ -86,7 +90,7 @@ def measured(name: str) -> tuple[int, int, float, float, int]:
         learning, samples = last
         rounds.append((learning, time.process_time() - began, samples))
     fastest = min(rounds, key=lambda figures: figures[0] / figures[2])
-    return *multiplications(trainer.model), *fastest
+    return *multiplications(trainer.model, set_elements), *fastest
 
 
 def peak() -> float:

@@ -252,6 +252,8 @@ def check(config: BatchConfig, policy: object, steps: Any, record: object, episo
 
 def _check_spaces(spec: EnvSpec, policy: DevicePolicy) -> None:
     """Refuse a policy for another environment."""
+    if policy.spec is spec:
+        return
     for what, theirs, own in (
         ("observation_space", policy.spec.observation_space, spec.observation_space),
         ("action_space", policy.spec.action_space, spec.action_space),

@@ -7,6 +7,7 @@ rounded as this processor does, so another machine may take another action where
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -144,4 +145,9 @@ def compiled(network: DenseNetwork, elements: np.dtype[Any]) -> CompiledPolicy:
         int(elements.kind == "i"),
         network.spec.agents,
     )
-    return CompiledPolicy(address_of(compiled_act(), *ACT_ARGUMENTS), in_memory(fields), 0, fields)
+    return CompiledPolicy(_address_of_act(), in_memory(fields), 0, fields)
+
+
+@cache
+def _address_of_act() -> int:
+    return address_of(compiled_act(), *ACT_ARGUMENTS)

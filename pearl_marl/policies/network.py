@@ -198,6 +198,11 @@ class Network(nn.Module):
         """Take a batch of observations into the statistics by which they are standardised."""
         self.encoder.see(obs)
 
+    def take_statistics(self, other: Network) -> None:
+        """Take those of a network that is given the same observations."""
+        for name, buffer in self.encoder.named_buffers():
+            buffer.copy_(other.encoder.get_buffer(name))
+
     def features(self, obs: Tensor, position: Tensor | None = None) -> Tensor:
         """Return the inputs of the output layer, shape ``(batch, width)``; not of a network with memory."""
         if self.memory is not None:
@@ -291,6 +296,11 @@ class SeparateNetworks(nn.ModuleList):
         """Take a batch of observations into the statistics of the networks that they are for."""
         for k, network in enumerate(self):
             network.see(obs[position == k])  # type: ignore[operator]
+
+    def take_statistics(self, other: SeparateNetworks) -> None:
+        """Take those of networks that are given the same observations."""
+        for own, another in zip(self, other, strict=True):
+            own.take_statistics(another)  # type: ignore[operator]
 
     def forward(self, obs: Tensor, position: Tensor) -> Tensor:
         """Return the outputs, shape ``(batch, outputs)``."""

@@ -122,8 +122,8 @@ class ActorCritic(nn.Module):
         self.actor.see(inputs.obs, inputs.position)
         if self.central:
             self.critic.see(inputs.state)
-        elif not self.shared:
-            self.critic.see(inputs.obs, inputs.position)
+        elif not self.shared:  # both are given the same
+            self.critic.take_statistics(self.actor)
 
     def outputs(self, inputs: Inputs) -> Tensor:
         """Return the policy's outputs."""
