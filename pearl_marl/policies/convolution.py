@@ -227,7 +227,7 @@ class PictureLayer(torch.autograd.Function):
         by_weights, by_sums = torch.zeros_like(weights), torch.empty(BLOCK, weights.shape[1])
         for block, sums in made.blocks():
             by = by_outputs[block]
-            by_weights.addmm_(by.t(), sums)
+            torch.addmm(by_weights, by.t(), sums, out=by_weights)
             made.learn(block, torch.mm(by, weights, out=by_sums[: len(by)]))
         return None, *made.gradients(), by_weights, by_outputs.sum(0)
 

@@ -31,7 +31,7 @@ def test_multiplications_are_those_that_pytorch_counts() -> None:
 
 
 def test_multiplications_of_vectors_numbers_and_filters() -> None:
-    """By hand: actor and critic of CartPole's four numbers, and of FrozenLake's tables; Breakout's filters."""
+    """By hand: CartPole's four numbers, FrozenLake's tables, Breakout's filters; with a critic each."""
     forward = 2 * (4 * 8 + 8 * 8) + (2 + 1) * 8
     assert peak.multiplications(model_of("CartPole"), 0) == (forward, 2 * forward - 2 * 4 * 8)
     forward = 2 * 8 * 8 + (4 + 1) * 8
