@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -55,3 +56,77 @@ class Halves:
         for gradient, second in zip(self._first, self._second, strict=True):
             gradient += second
         return torch.from_numpy(figures)
+
+
+class AutogradHalves:
+    """Has autograd find the gradients of a mean loss, where it pays by two threads, a half of the rows each.
+
+    PyTorch's own threads share a product of matrices and wait for each other after each; halves meet once.
+
+    Parameters
+    ----------
+    parameters
+        What is learned; the gradients are left with it.
+    width
+        Of the networks' layers.
+    divisible
+        Whether the loss of a minibatch is the mean of that of its rows.
+    """
+
+    def __init__(self, parameters: Sequence[nn.Parameter], width: int, divisible: bool) -> None:
+        self._parameters, self._width = parameters, width
+        self._divisible = divisible and not parameters[0].is_cuda
+        self._helper, self._shared = ThreadPoolExecutor(1), False
+
+    def find(self, rows: Tensor, loss: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Tensor:
+        """Leave the gradients of the loss of all rows.
+
+        ``loss`` is given rows, and returns their mean loss, and figures that are means, too. Return those
+        of all rows.
+        """
+        if not self._divides(len(rows)):
+            gradients, figures = self._of(rows, 1.0, loss)
+            for parameter, gradient in zip(self._parameters, gradients, strict=True):
+                parameter.grad.copy_(gradient)  # type: ignore[union-attr]
+            return figures
+        middle = len(rows) // 2
+        halves = rows[:middle], rows[middle:]
+        parts = [(some, len(some) / len(rows), loss) for some in halves]
+        if self._shared:
+            other = self._helper.submit(self._of, *parts[1])
+            first, second = self._of(*parts[0]), other.result()
+        else:
+            first, second = self._of(*parts[0]), self._of(*parts[1])
+        for parameter, *gradients in zip(self._parameters, first[0], second[0], strict=True):
+            torch.add(*gradients, out=parameter.grad)
+        return first[1] + second[1]
+
+    @contextmanager
+    def shared(self, rows: int) -> Iterator[None]:
+        """Share PyTorch's threads between the halves of minibatches of so many rows, as long as this lasts.
+
+        To do so for each minibatch would take longer than it saves.
+        """
+        threads = torch.get_num_threads()
+        if threads == 1 or not self._divides(rows):
+            yield
+            return
+        self._shared = True
+        self._helper.submit(torch.set_num_threads, threads // 2).result()
+        torch.set_num_threads(threads // 2)
+        try:
+            yield
+        finally:
+            self._shared = False
+            torch.set_num_threads(threads)
+
+    def _divides(self, rows: int) -> bool:
+        return self._divisible and rows * self._width >= SECOND_THREAD
+
+    def _of(
+        self, rows: Tensor, share: float, loss: Callable[[Tensor], tuple[Tensor, Tensor]]
+    ) -> tuple[Sequence[Tensor], Tensor]:
+        """Return the gradients and the figures of rows that are so large a share of all."""
+        value, figures = loss(rows)
+        gradients = torch.autograd.grad(value * share, self._parameters, materialize_grads=True)
+        return gradients, figures.detach() * share

@@ -11,6 +11,7 @@ from torch import Tensor
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.adam import Adam
 from pearl_marl.training.agents import observed_spec
+from pearl_marl.training.halves import AutogradHalves
 from pearl_marl.training.recurrent import RecurrentWorker, chunked
 from pearl_marl.training.restoring import copied
 from pearl_marl.training.rollout import RolloutBuffer, RolloutWorker
@@ -37,6 +38,10 @@ class OnPolicyTrainer(Trainer):
 
     max_grad_norm: float
 
+    divisible = True
+    """Whether the loss of a minibatch is the mean of that of its rows; with a memory it never is, since not
+    all steps of a chunk are learned from."""
+
     def __init__(self, spec: EnvSpec, device: Any, settings: Any, shards: int | None = None) -> None:
         torch.manual_seed(settings.seed)
         self.model = self.made(spec, settings)
@@ -61,6 +66,8 @@ class OnPolicyTrainer(Trainer):
         self.model.to(self.where)
         self.policy = self.model.policy
         self.optimiser = Adam(self.model.parameters(), epsilon=1e-5, max_grad_norm=self.max_grad_norm)
+        divisible = self.divisible and not self.policy.remembers
+        self.halves = AutogradHalves(self.optimiser.parameters, settings.width, divisible)
         self.components = {"model": self.model, "optimiser": self.optimiser}
         self.last_losses = torch.zeros(len(self.losses), device=self.where)
 
@@ -111,9 +118,10 @@ class OnPolicyTrainer(Trainer):
         """Learn from these rows, or chunks, of a rollout."""
         settings, gradients, losses = self.settings, self.gradients(samples), []
         rate = settings.learning_rate * (1 - self.done / settings.iterations)
-        for minibatch in self._minibatches(rows):
-            losses.append(gradients(minibatch))
-            self.optimiser.step(rate)
+        with self.halves.shared(self.minibatch):
+            for minibatch in self._minibatches(rows):
+                losses.append(gradients(minibatch))
+                self.optimiser.step(rate)
         self.last_losses = torch.stack(losses).mean(0)
         self.check(self.last_losses)
 

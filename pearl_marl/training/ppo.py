@@ -76,20 +76,23 @@ class PPO(OnPolicyTrainer):
         Return the policy's loss, the critic's, the entropy, and the share of ratios that were clipped.
         """
         clip = self.settings.clip
-        outputs, values, batch = self.forward(samples, minibatch)
-        log_probs, entropy = self.model.evaluate(outputs, batch.actions)
-        ratio = (log_probs - batch.log_probs).exp()
-        advantages = batch.advantages
-        if len(advantages) > 1:  # a single one has no deviation
-            deviation, mean = torch.std_mean(advantages)
-            advantages = (advantages - mean) / (deviation + 1e-8)
-        policy_loss = -torch.min(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages).mean()
-        value_loss = (values - batch.returns).square().mean()
-        loss = policy_loss + 0.5 * value_loss - self.settings.entropy * entropy
-        self.optimiser.zero_grad()
-        loss.backward()
-        clipped = ((ratio - 1).abs() > clip).float().mean()
-        return torch.stack((policy_loss, value_loss, entropy, clipped)).detach()
+        whole = None if self.policy.remembers else samples.advantages[minibatch]
+
+        def loss(rows: Tensor) -> tuple[Tensor, Tensor]:
+            outputs, values, batch = self.forward(samples, rows)
+            log_probs, entropy = self.model.evaluate(outputs, batch.actions)
+            ratio = (log_probs - batch.log_probs).exp()
+            advantages, every = batch.advantages, batch.advantages if whole is None else whole
+            if len(every) > 1:  # a single one has no deviation
+                deviation, mean = torch.std_mean(every)
+                advantages = (advantages - mean) / (deviation + 1e-8)
+            policy_loss = -torch.min(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages).mean()
+            value_loss = (values - batch.returns).square().mean()
+            clipped = ((ratio - 1).abs() > clip).float().mean()
+            figures = torch.stack((policy_loss, value_loss, entropy, clipped))
+            return policy_loss + 0.5 * value_loss - self.settings.entropy * entropy, figures
+
+        return self.halves.find(minibatch, loss)
 
 
 class MAPPO(PPO):

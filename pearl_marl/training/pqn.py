@@ -73,12 +73,14 @@ class PQN(OnPolicyTrainer):
 
     def autograd(self, samples: RolloutBuffer, minibatch: Tensor) -> Tensor:
         """Leave the gradients of a minibatch's loss with the parameters; return the loss."""
-        outputs, _, batch = self.forward(samples, minibatch)
-        chosen = outputs.gather(1, batch.actions[:, None])[:, 0]
-        loss = 0.5 * (chosen - batch.returns).square().mean()
-        self.optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        return loss.detach()[None]
+
+        def loss(rows: Tensor) -> tuple[Tensor, Tensor]:
+            outputs, _, batch = self.forward(samples, rows)
+            chosen = outputs.gather(1, batch.actions[:, None])[:, 0]
+            mean = 0.5 * (chosen - batch.returns).square().mean()
+            return mean, mean[None]
+
+        return self.halves.find(minibatch, loss)
 
     def figures(self) -> dict[str, float | None]:
         """Return figures for the metrics: those of rollouts, and the share of actions that is random."""
