@@ -241,7 +241,10 @@ def _runs() -> str:
 
 def _core(core: dict[str, Any]) -> Iterator[str]:
     for family in FAMILIES:
-        yield from ("-" if figure is None else f"{figure:,}" for figure in core[family.value].values())
+        figures = core[family.value]
+        yield from (f"{figures[what]:,}" for what in ("latency", "lut", "ff", "dsp"))
+        if family in PLACEMENTS:
+            yield "-" if figures["mhz"] is None else str(figures["mhz"])
 
 
 def _hardware(name: str) -> Iterator[str]:

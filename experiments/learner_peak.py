@@ -71,15 +71,14 @@ def measured(name: str) -> tuple[int, int, float, float, int]:
     """
     spec = get_spec(name)
     trainer = PPO(spec, "native", settings_for("ppo", name, {}, agents=spec.agents))
-    learn, last, set_elements = trainer.learn, (0.0, 0), 0.0
+    learn, last, kept = trainer.learn, (0.0, 0), torch.empty(0)
 
     def timed(samples: RolloutBuffer, rows: Tensor) -> None:
-        nonlocal last, set_elements
+        nonlocal last, kept
         began = time.process_time()
         learn(samples, rows)
         last = time.process_time() - began, len(rows) * trainer.settings.epochs
-        obs = trainer.model.actor.encoder.whole(samples.inputs.obs)
-        set_elements = float(obs.flatten(1).count_nonzero() / len(obs))
+        kept = samples.inputs.obs
 
     trainer.learn = timed  # type: ignore[method-assign]
     trainer.iterate()  # compiles
@@ -90,7 +89,9 @@ def measured(name: str) -> tuple[int, int, float, float, int]:
         learning, samples = last
         rounds.append((learning, time.process_time() - began, samples))
     fastest = min(rounds, key=lambda figures: figures[0] / figures[2])
-    return *multiplications(trainer.model, set_elements), *fastest
+    encoder = trainer.model.actor.encoder
+    in_all = int(encoder.whole(kept).count_nonzero()) if encoder.kind == "picture" else 0
+    return *multiplications(trainer.model, in_all / len(kept)), *fastest
 
 
 def peak() -> float:

@@ -81,7 +81,8 @@ TASKS = (
     TrainingTask("QMIX RobotWarehouse", "qmix", "RobotWarehouse", None, least=3),
 )
 """Seaquest and RobotWarehouse take minutes to their goals, and EnvPool's foraging has other rules: of these
-only the rate is measured. Of those who forage together, each gets half of a world's 1 at most."""
+tasks only the rate is measured. In the others of foraging, each agent gets half of a world's 1 at most.
+"""
 
 ENVPOOL_COUNTS = {
     "Seaquest": "stepped by MinAtar itself, in Python: EnvPool's Seaquest is Atari's, another game",

@@ -10,6 +10,7 @@ import functools
 import hashlib
 import inspect
 import sys
+import threading
 import types
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,6 +24,9 @@ from pearl_marl.base.files import write_whole
 from pearl_marl.base.machine_code import kept_code
 from pearl_marl.base.source_lines import is_of_a_library
 from pearl_marl.golden import GoldenFunction
+
+_MAKING = threading.RLock()
+"""Held while a loop is made, which two threads may ask for at the same time."""
 
 
 def load(name: str, source: str, **names: Any) -> tuple[Any, Path]:
@@ -55,7 +59,7 @@ def compiled_loop(
     """
 
     @functools.cache
-    def made() -> Any:
+    def once() -> Any:
         module = sys.modules[function.__module__]
         texts = [inspect.getsource(part) for part in (module, *uses)]
         digest = hashlib.sha256(repr((texts, fused, numba.__version__, np.__version__)).encode()).hexdigest()
@@ -64,6 +68,10 @@ def compiled_loop(
         loaded, _ = load(name, inspect.getsource(function), **known)
         jit = numba.njit(nogil=True, error_model="numpy", fastmath={"contract"} if fused else False)
         return kept_code(jit(getattr(loaded, function.__name__)), name)
+
+    def made() -> Any:
+        with _MAKING:
+            return once()
 
     return made
 

@@ -58,8 +58,9 @@ def absorb(module: dict[str, Any]) -> int:
 def register_inputs(module: dict[str, Any], clock: str = "clk_i") -> None:
     """Put a flip-flop behind every input of ``module`` but its clock."""
     cells, ports = module["cells"], module["ports"]
-    taken = [bit for cell in cells.values() for bits in cell["connections"].values() for bit in bits]
-    free = itertools.count(1 + max(bit for bit in taken if isinstance(bit, int)))
+    nets = [bits for cell in cells.values() for bits in cell["connections"].values()]
+    nets += [port["bits"] for port in ports.values()]
+    free = itertools.count(1 + max(bit for bits in nets for bit in bits if isinstance(bit, int)))
     (clock_bit,) = ports[clock]["bits"]
     for name, port in ports.items():
         if port["direction"] != "input" or name == clock:

@@ -110,7 +110,7 @@ class Placement:
 
     device: str
     room: Mapping[str, int]
-    """What the part has, of what Yosys' cells are counted as."""
+    """How many ``lut``, ``bram36`` and ``dsp`` the part has."""
     place: tuple[str, ...]
     netlist: str = "write_json netlist.json"
     """Yosys' commands that write what is placed."""
@@ -375,8 +375,17 @@ def clock_rate(folder: Path, placement: Placement, top: str = "pearl_top", *, al
     """Place and route the design ``top`` in the ``netlist.json`` of ``folder``; return its clock rate in MHz.
 
     nextpnr times what lies between flip-flops. With ``alone``, each input gets one, so that a module that
-    is to stand in a larger design is timed from its inputs; of the parts here, only an ECP5 can have them.
+    is to stand in a larger design is timed from its inputs.
+
+    Raises
+    ------
+    ArgumentError
+        ``alone`` on a part other than an ECP5.
+    DeviceError
+        nextpnr is missing, or failed.
     """
+    if alone and not placement.absorbs:
+        raise ArgumentError(f"inputs get flip-flops on an ECP5 only, not on the {placement.device}")
     (folder / "place.cst").write_text(placement.constraints)
     if placement.absorbs:
         netlist = json.loads((folder / "netlist.json").read_text("utf-8"))

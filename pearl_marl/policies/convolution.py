@@ -1,20 +1,23 @@
-"""The convolution that pictures go through first, and its gradients, compiled for a CPU.
+"""The filters that planes of 0 and 1 go through first, and the gradients by them, compiled for a CPU.
 
-Most elements of planes are 0, so what an element adds is summed over those that are not: of the 1,000
-elements of a picture of Seaquest some 30, where PyTorch multiplies all of them.
+Most elements of such pictures are 0, and sums are made of what the others add: of 1,000 elements in Seaquest
+they are some 13, where a convolution of PyTorch's multiplies all.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any
 
 import numpy as np
 import torch
+from gymnasium.spaces import Box, Space
 from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from pearl_marl.base.arrays import Array
 from pearl_marl.compiler.loading import compiled_loop
@@ -59,7 +62,7 @@ def _where_above(_: Any, kept: Any, at: Any, numbers: Any, of: Any, sums: Any, b
     def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
         kept, numbers, sums = (_vector(context, builder, signature, operands, k) for k in (0, 2, 4))
         none = ir.Constant(_VECTOR, [0.0] * FILTERS)
-        above = builder.fcmp_ordered(">", builder.load(sums, align=4), none)
+        above = builder.fcmp_unordered(">", builder.load(sums, align=4), none)
         builder.store(builder.select(above, builder.load(numbers, align=4), none), kept, align=4)
         return context.get_dummy_value()
 
@@ -68,18 +71,14 @@ def _where_above(_: Any, kept: Any, at: Any, numbers: Any, of: Any, sums: Any, b
 
 @_intrinsic  # type: ignore[untyped-decorator]
 def _not_zero(_: Any, elements: Any, at: Any) -> Any:
-    """Return a bit for each of 64 elements, from ``at`` on: whether it is not 0."""
+    """Return a bit for each of 64 bytes, from ``at`` on: whether it is not 0."""
 
     def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
         array = context.make_array(signature.args[0])(context, builder, operands[0])
-        kind = array.data.type.pointee
-        pointer = builder.bitcast(
-            builder.gep(array.data, [operands[1]]), ir.VectorType(kind, 64).as_pointer()
-        )
-        found = builder.load(pointer, align=1)
-        none = ir.Constant(found.type, [ir.Constant(kind, 0)] * 64)
-        real = isinstance(kind, (ir.FloatType, ir.DoubleType))
-        flags = (builder.fcmp_unordered if real else builder.icmp_unsigned)("!=", found, none)
+        kind = ir.VectorType(ir.IntType(8), 64)
+        first = builder.gep(array.data, [operands[1]])
+        found = builder.load(builder.bitcast(first, kind.as_pointer()), align=1)
+        flags = builder.icmp_unsigned("!=", found, ir.Constant(kind, [0] * 64))
         return builder.bitcast(flags, ir.IntType(64))
 
     return types.uint64(elements, types.int64), generate
@@ -116,6 +115,7 @@ def _found(elements: Array, found: Array) -> int:
 _found_of: Callable[..., int] = _inlined(_found)
 
 
+@cache
 def _places(shape: tuple[int, ...]) -> tuple[Array, Array]:
     """Return for each element of a picture the first number of its channel's filters, and of its place.
 
@@ -143,7 +143,7 @@ def _forward(
     """
     rows, columns = shape
     wide = columns + 2
-    found = np.empty(pictures.shape[1] + 1, np.int64)
+    found = np.empty(pictures.shape[1], np.int64)
     all_sums = np.empty((rows + 2) * wide * FILTERS, np.float32)
     for i in range(len(pictures)):
         picture, out = pictures[i], sums[i]
@@ -175,7 +175,7 @@ def _backward(
     """Add the gradients by weights and biases, given those by the ``sums``."""
     rows, columns = shape
     wide = columns + 2
-    found = np.empty(pictures.shape[1] + 1, np.int64)
+    found = np.empty(pictures.shape[1], np.int64)
     by = np.zeros((rows + 2) * wide * FILTERS, np.float32)
     of_picture = np.empty(FILTERS, np.float32)
     for i in range(len(pictures)):
@@ -200,8 +200,8 @@ _forward_of = compiled_loop(_forward)
 _backward_of = compiled_loop(_backward)
 
 
-class PictureLayer(torch.autograd.Function):
-    """A linear layer over what filters of 3 by 3 make of pictures, and is above 0.
+class PlanesLayer(torch.autograd.Function):
+    """A linear layer over what filters of 3 by 3 make of planes, and is above 0.
 
     A block of pictures at a time goes through both, while what the filters made is in the processor's
     cache. It is not kept for the gradients: to make it again takes less time than to fetch it from memory.
@@ -209,22 +209,22 @@ class PictureLayer(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, pictures: Tensor, filters: Tensor, filter_bias: Tensor, weights: Tensor, bias: Tensor
+        ctx: Any, planes: Tensor, filters: Tensor, filter_bias: Tensor, weights: Tensor, bias: Tensor
     ) -> Tensor:
-        """Return what the layer makes of pictures, channels last; all weights are as PyTorch has them."""
-        made = _Filters(pictures, filters, filter_bias)
-        ctx.made = made
-        ctx.save_for_backward(weights)
-        outputs = torch.empty((len(pictures), len(weights)))
-        for block, sums in made.blocks():
+        """Return what the layer makes of planes, for which :func:`are_planes`; weights are PyTorch's."""
+        ctx.save_for_backward(planes, filters, filter_bias, weights)
+        outputs = weights.new_empty((len(planes), len(weights)))
+        for block, sums in _Filters(planes, filters, filter_bias).blocks():
             torch.addmm(bias, sums, weights.t(), out=outputs[block])
         return outputs
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, by_outputs: Tensor) -> tuple[Tensor | None, ...]:
         """Return the gradients by all weights."""
-        made, (weights,) = ctx.made, ctx.saved_tensors
-        by_weights, by_sums = torch.zeros_like(weights), torch.empty(BLOCK, weights.shape[1])
+        planes, filters, filter_bias, weights = ctx.saved_tensors
+        made = _Filters(planes, filters, filter_bias)
+        by_weights, by_sums = torch.zeros_like(weights), weights.new_empty((BLOCK, weights.shape[1]))
         for block, sums in made.blocks():
             by = by_outputs[block]
             torch.addmm(by_weights, by.t(), sums, out=by_weights)
@@ -232,15 +232,22 @@ class PictureLayer(torch.autograd.Function):
         return None, *made.gradients(), by_weights, by_outputs.sum(0)
 
 
-class _Filters:
-    """What filters make of pictures, a block at a time, and the gradients by them."""
+def are_planes(space: Space[Any]) -> bool:
+    """Return whether pictures of a space, channels last, are of bytes or flags that are 0 or 1."""
+    if not isinstance(space, Box) or len(space.shape) != 3 or space.dtype.itemsize != 1:
+        return False
+    return bool(space.low.min() >= 0 and space.high.max() <= 1)
 
-    def __init__(self, pictures: Tensor, weights: Tensor, bias: Tensor) -> None:
-        n, rows, columns, channels = pictures.shape
-        elements = pictures.flatten(1).contiguous().numpy()
-        self._elements = elements.view(np.uint8) if elements.dtype == np.bool_ else elements
-        self._weights = np.ascontiguousarray(weights.detach().numpy().transpose(1, 2, 3, 0)).ravel()
-        self._bias = bias.detach().numpy()
+
+class _Filters:
+    """What filters make of planes, a block of pictures at a time, and the gradients by the filters."""
+
+    def __init__(self, planes: Tensor, weights: Tensor, bias: Tensor) -> None:
+        n, rows, columns, channels = planes.shape
+        by_channel = weights.detach().numpy().transpose(1, 2, 3, 0)
+        self._elements = planes.flatten(1).contiguous().numpy().view(np.uint8)
+        self._weights = np.ascontiguousarray(by_channel, np.float32).ravel()
+        self._bias = np.ascontiguousarray(bias.detach().numpy(), np.float32)
         self._where = (rows, columns), *_places((rows, columns, channels))
         self._channels = channels
         self._by_weights, self._by_bias = np.zeros_like(self._weights), np.zeros_like(self._bias)

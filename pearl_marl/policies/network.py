@@ -15,7 +15,7 @@ from torch.nn.functional import layer_norm
 from pearl_marl.compiler.packing import unpacked
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies import dense
-from pearl_marl.policies.convolution import FILTERS, SIDE, PictureLayer
+from pearl_marl.policies.convolution import FILTERS, SIDE, PlanesLayer, are_planes
 from pearl_marl.policies.memory import Memory, Recall
 from pearl_marl.spec import EnvSpec
 from pearl_marl.spec.elements import are_numbers, bounds
@@ -97,6 +97,12 @@ class Encoder(nn.Module):
         if len(space.shape) == 3:
             self.kind = "picture"
             height, breadth, channels = space.shape
+            if min(height, breadth) < SIDE:
+                raise ArgumentError(
+                    f"pictures of {height} by {breadth} are too small for filters of {SIDE} by {SIDE}: "
+                    "declare observations of one axis, or wrap the environment in flatten_v0"
+                )
+            self.planes = are_planes(space)
             self.convolution = nn.Conv2d(channels, FILTERS, SIDE)
             self.linear = nn.Linear(FILTERS * (height - 2) * (breadth - 2), width)
             return
@@ -139,14 +145,14 @@ class Encoder(nn.Module):
         features: Tensor
         if self.kind == "vector":
             features = self.linear(self.standardised(obs))
-        elif self.linear.weight.is_cuda:
+        elif self.linear.weight.is_cuda or not self.planes or obs.element_size() > 1:
             planes = obs.permute(0, 3, 1, 2).float()
             # Channels stay last, as they are in the observations: to reorder them would be a copy.
             features = self.linear(self.convolution(planes).relu_().permute(0, 2, 3, 1).flatten(1))
         else:
             layers = self.convolution, self.linear
             weights = (tensor for layer in layers for tensor in (layer.weight, layer.bias))
-            features = PictureLayer.apply(obs, *weights)  # type: ignore[no-untyped-call]
+            features = PlanesLayer.apply(obs, *weights)  # type: ignore[no-untyped-call]
         return features
 
     def numbers(self, obs: Tensor) -> Tensor:

@@ -76,7 +76,7 @@ class AutogradHalves:
     def __init__(self, parameters: Sequence[nn.Parameter], width: int, divisible: bool) -> None:
         self._parameters, self._width = parameters, width
         self._divisible = divisible and not parameters[0].is_cuda
-        self._helper, self._shared = ThreadPoolExecutor(1), False
+        self._helper: ThreadPoolExecutor | None = None  # only where threads are shared
 
     def find(self, rows: Tensor, loss: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Tensor:
         """Leave the gradients of the loss of all rows.
@@ -92,7 +92,7 @@ class AutogradHalves:
         middle = len(rows) // 2
         halves = rows[:middle], rows[middle:]
         parts = [(some, len(some) / len(rows), loss) for some in halves]
-        if self._shared:
+        if self._helper is not None:
             other = self._helper.submit(self._of, *parts[1])
             first, second = self._of(*parts[0]), other.result()
         else:
@@ -111,13 +111,13 @@ class AutogradHalves:
         if threads == 1 or not self._divides(rows):
             yield
             return
-        self._shared = True
-        self._helper.submit(torch.set_num_threads, threads // 2).result()
-        torch.set_num_threads(threads // 2)
+        half = threads // 2
         try:
-            yield
+            with ThreadPoolExecutor(1, initializer=torch.set_num_threads, initargs=(half,)) as self._helper:
+                torch.set_num_threads(half)
+                yield
         finally:
-            self._shared = False
+            self._helper = None
             torch.set_num_threads(threads)
 
     def _divides(self, rows: int) -> bool:

@@ -118,7 +118,7 @@ class OnPolicyTrainer(Trainer):
         """Learn from these rows, or chunks, of a rollout."""
         settings, gradients, losses = self.settings, self.gradients(samples), []
         rate = settings.learning_rate * (1 - self.done / settings.iterations)
-        with self.halves.shared(self.minibatch):
+        with self.halves.shared(min(self.minibatch, len(rows))):
             for minibatch in self._minibatches(rows):
                 losses.append(gradients(minibatch))
                 self.optimiser.step(rate)

@@ -11,6 +11,7 @@ from pearl_marl.training.run import ALGORITHMS, settings_for
 RUNS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("ppo", "CartPole", {}),
     ("ppo", "Pendulum", {}),
+    ("ppo", "Breakout", {}),
     ("pqn", "CartPole", {}),
     ("dqn", "CartPole", {"warm_up": 0}),
 )

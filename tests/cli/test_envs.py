@@ -40,7 +40,7 @@ def test_the_figures_are_those_of_the_folders(monkeypatch: pytest.MonkeyPatch) -
     assert marker
     rows = [line[2:-2].split(" | ") for line in text.partition("## In hardware")[2].splitlines()[4:]]
     designs = {
-        row[0]: (row[1], *row[9:14]) for row in rows if row[0] not in KINDS and not sampling.exhaustive
+        row[0]: (row[1], *row[10:15]) for row in rows if row[0] not in KINDS and not sampling.exhaustive
     }
     computed = environment_figures.design
     monkeypatch.setattr(environment_figures, "design", lambda spec: designs.get(spec.name) or computed(spec))

@@ -24,7 +24,7 @@ def test_multiplications_are_those_that_pytorch_counts() -> None:
     """Of a picture's network, as PyTorch learns no other, but for its filters; two operations each."""
     model = model_of("Breakout")
     with flops.FlopCounterMode(display=False) as counter:
-        outputs, values = model(actor_critic.Inputs(torch.rand(16, 10, 10, 4)))
+        outputs, values = model(actor_critic.Inputs(torch.rand(16, 10, 10, 4) < 0.2))
         forward = counter.get_total_flops() / 32
         (outputs.sum() + values.sum()).backward()
     assert (forward, counter.get_total_flops() / 32 - forward) == peak.multiplications(model, 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 
 pytest.importorskip("torch")
 import torch
+from gymnasium.spaces import Box
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies import trained
@@ -82,7 +84,8 @@ def test_each_field_is_drawn() -> None:
 
 def test_numbers_reach_both_ends_of_their_field() -> None:
     """Of a Box that is not as far from 0 on either side."""
-    for spec in (GLIDER, SLIDE):
+    flat = replace(SLIDE, observation_space=Box(0, 1, (24,), np.bool_), configure=None)
+    for spec in (GLIDER, flat):
         policy, space = ActorCritic(spec, 8).policy, spec.action_space
         for output, end in ((-3.0, space.low), (3.0, space.high), (0.0, (space.low + space.high) / 2)):
             given = policy.within_bounds(torch.full((1, len(end)), output)).numpy()
@@ -105,8 +108,6 @@ def test_who_chooses_among_numbers_refuses_fields() -> None:
 
 
 def test_several_numbers_choose_a_row() -> None:
-    from dataclasses import replace
-
     from gymnasium.spaces import MultiDiscrete
 
     spec = replace(LADDER, observation_space=MultiDiscrete([10, 2]))

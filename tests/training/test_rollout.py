@@ -178,3 +178,17 @@ def test_refused_experience(device: Any, settings: Any, network: str, noise: Any
     with pytest.raises(ArgumentError, match=says):
         opened.experience(chosen_by, noise)
     assert opened.snapshot().to_bytes() == before
+
+
+@pytest.mark.parametrize("sharing", ["all", "none"])
+def test_the_critic_standardises_as_the_actor_does(sharing: str) -> None:
+    given = {"n_agents": 8, "rollout_length": 4, "sharing": sharing}
+    trainer = run.ALGORITHMS["ppo"](
+        get_spec("LevelBasedForaging"), "native", run.settings_for("ppo", "LevelBasedForaging", given)
+    )
+    before = [buffer.clone() for buffer in trainer.model.critic.buffers()]
+    trainer.iterate()
+    own, actors = list(trainer.model.critic.buffers()), list(trainer.model.actor.buffers())
+    assert len(own) == len(actors) >= 3
+    assert all(torch.equal(one, other) for one, other in zip(own, actors, strict=True))
+    assert not any(torch.equal(one, other) for one, other in zip(own, before, strict=True))

@@ -18,6 +18,7 @@ from pearl_marl.training.warming import warm_training
         ("mappo", "LevelBasedForaging", {"rollout_length": 2}),
         ("pqn", "Blackjack", {"rollout_length": 2}),
         ("dqn", "Blackjack", {"warm_up": 0}),
+        ("ppo", "Seaquest", {}),
     ],
 )
 def test_what_is_warm_is_not_compiled_again(algorithm: str, env_id: str, given: dict[str, int]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import operator
 import tempfile
 import warnings
@@ -20,6 +21,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from pearl_marl.benchmark.training import TrainingTask
 from pearl_marl.benchmark.watch import Watch
 from pearl_marl.spec import EnvSpec
+from pearl_marl.training.run import ALGORITHMS as TRAINERS
 from pearl_marl.wrappers import agent_indicator_v0, benchmarl_task, dtype_v0, reward_lambda_v0
 
 ALGORITHMS: dict[str, Any] = {
@@ -87,20 +89,24 @@ def in_floats(env: Any, scale: float) -> Any:
 
 def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     """Train until the watch says that it is over."""
-    warnings.simplefilter("ignore")  # TorchRL and BenchMARL tell of their own coming changes
     spec = task.spec
     algorithm = ALGORITHMS[task.algorithm].get_from_yaml()
     if task.algorithm in ON_POLICY:
         algorithm.clip_epsilon, algorithm.lmbda = settings.clip, settings.gae_lambda
         algorithm.entropy_coef, algorithm.critic_coef = settings.entropy, 0.5
+    if task.algorithm == "qmix":
+        algorithm.mixing_embed_dim = settings.mixer_width
+    # Its teams get the mean of their agents' rewards.
+    scale = settings.reward_scale * (spec.agents if settings.rewards == "sum" else 1)
     layers = MlpConfig.get_from_yaml()
     layers.num_cells = [settings.width] * 2
-    with tempfile.TemporaryDirectory() as folder:
+    # TorchRL and BenchMARL warn of their own coming changes.
+    with warnings.catch_warnings(action="ignore"), tempfile.TemporaryDirectory() as folder:
         experiment = Experiment(
             task=benchmarl_task(
                 task.env_id,
                 state=task.algorithm in ("mappo", "qmix"),
-                wrap=partial(in_floats, scale=settings.reward_scale),
+                wrap=partial(in_floats, scale=scale),
                 max_cycles=spec.max_cycles,
                 **dict(task.options),
             ),
@@ -108,19 +114,18 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
             model_config=layers,
             critic_model_config=layers,
             seed=settings.seed,
-            config=configured(settings, spec, folder),
+            config=configured(task, settings, folder),
             callbacks=[Watched(watch, spec, settings)],
         )
         watch.start()
-        try:
+        with contextlib.suppress(Over):
             experiment.run()
-        except Over:
-            experiment.close()
 
 
-def configured(settings: Any, spec: EnvSpec, folder: str) -> ExperimentConfig:
+def configured(task: TrainingTask, settings: Any, folder: str) -> ExperimentConfig:
     """Return our settings as BenchMARL's, which count steps of worlds, and no logs."""
-    config = ExperimentConfig.get_from_yaml()
+    config, spec = ExperimentConfig.get_from_yaml(), task.spec
+    config.clip_grad_val, config.adam_eps = TRAINERS[task.algorithm].max_grad_norm, 1e-5
     config.loggers, config.create_json, config.evaluation, config.render = [], False, False, False
     config.save_folder = folder
     config.max_n_frames, config.max_n_iters = None, settings.iterations
