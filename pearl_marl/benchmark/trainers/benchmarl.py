@@ -39,7 +39,7 @@ class Over(Exception):  # noqa: N818  # no error
     """The watch says that the training is over; BenchMARL has no other way to end one."""
 
 
-class Watched(Callback):  # type: ignore[misc]  # benchmarl has no types
+class WatchCallback(Callback):  # type: ignore[misc]  # benchmarl has no types
     """Calls a watch after every iteration."""
 
     def __init__(self, watch: Watch, spec: EnvSpec, settings: Any) -> None:
@@ -115,7 +115,7 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
             critic_model_config=layers,
             seed=settings.seed,
             config=configured(task, settings, folder),
-            callbacks=[Watched(watch, spec, settings)],
+            callbacks=[WatchCallback(watch, spec, settings)],
         )
         watch.start()
         with contextlib.suppress(Over):
