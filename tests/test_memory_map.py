@@ -138,7 +138,7 @@ def test_default_sizes_that_the_page_shows() -> None:
     page = (Path(__file__).parents[1] / "docs" / "environment_figures.md").read_text()
     lines = page.partition("## In hardware")[2].splitlines()[4:]
     rows = [line[2:-2].replace(",", "").split(" | ") for line in lines]
-    shown = {name: [int(cells[column - 1]) for column in (1, 9, 10, 11, 12)] for name, *cells in rows}
+    shown = {name: [int(cells[column - 1]) for column in (1, 10, 11, 12, 13)] for name, *cells in rows}
     assert list(shown) == pearl_marl.list_envs()
     for name, (latency, pe_num, data_wl, bound, cycles) in shown.items():
         layout = default_map(pearl_marl.get_spec(name), 43_008)
