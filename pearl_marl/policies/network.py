@@ -145,7 +145,7 @@ class Encoder(nn.Module):
         features: Tensor
         if self.kind == "vector":
             features = self.linear(self.standardised(obs))
-        elif self.linear.weight.is_cuda or not self.planes or obs.element_size() > 1:
+        elif self.linear.weight.is_cuda or not self.planes or obs.element_size() > 1:  # or made floats
             planes = obs.permute(0, 3, 1, 2).float()
             # Channels stay last, as they are in the observations: to reorder them would be a copy.
             features = self.linear(self.convolution(planes).relu_().permute(0, 2, 3, 1).flatten(1))

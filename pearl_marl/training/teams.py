@@ -69,17 +69,19 @@ class VDN(PQN):
 
     def autograd(self, samples: RolloutBuffer, minibatch: Tensor) -> Tensor:
         """Leave the gradients of the loss of some worlds with the parameters; return the loss."""
-        rows = minibatch[:, None] * len(self.team) + self.team
-        outputs, _, batch = self.all_steps(samples, rows.flatten())
-        mixer, state = self.model.mixer, batch.inputs.state
-        acting = batch.loss_mask.view(-1, len(self.team))
-        chosen = outputs.gather(1, batch.actions[:, None]).view_as(acting).masked_fill(~acting, 0)
-        values = mixer(chosen, None if state is None else state[:: len(self.team)])
-        errors = (values - batch.returns.view_as(acting)[:, 0])[acting.any(1)]
-        loss: Tensor = 0.5 * errors.square().mean()
-        self.optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        return loss.detach()[None]
+
+        def loss(worlds: Tensor) -> tuple[Tensor, Tensor]:
+            rows = worlds[:, None] * len(self.team) + self.team
+            outputs, _, batch = self.all_steps(samples, rows.flatten())
+            mixer, state = self.model.mixer, batch.inputs.state
+            acting = batch.loss_mask.view(-1, len(self.team))
+            chosen = outputs.gather(1, batch.actions[:, None]).view_as(acting).masked_fill(~acting, 0)
+            values = mixer(chosen, None if state is None else state[:: len(self.team)])
+            errors = (values - batch.returns.view_as(acting)[:, 0])[acting.any(1)]
+            mean = 0.5 * errors.square().mean()
+            return mean, mean[None]
+
+        return self.halves.find(minibatch, loss)
 
 
 class QMIX(VDN):

@@ -153,6 +153,11 @@ def test_a_part_has_room_for_so_much(what: str) -> None:
         assert not placement.fits(full | {what: placement.room[what] + 0.5})
 
 
+def test_inputs_get_flip_flops_on_an_ecp5_only(tmp_path) -> None:
+    with pytest.raises(ArgumentError, match="on an ECP5 only, not on the GW5AST"):
+        synthesis.clock_rate(tmp_path, PLACEMENTS[Family.GOWIN], alone=True)
+
+
 def test_a_missing_tool_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(program: str) -> str:
         raise DeviceError(f"the program {program} is missing")
