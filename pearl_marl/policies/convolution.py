@@ -1,10 +1,10 @@
 """A linear layer over what filters make of planes of 0 and 1, and the gradients by both, compiled for a CPU.
 
-Most elements of such pictures are 0, and so are most squares of 3 by 3 that a filter covers: in Seaquest 13 of
-1,000 elements are 1, and 25 of 64 squares are not empty. Sums are made of what the others add, where a
-convolution of PyTorch's multiplies all; and an empty square gives the linear layer what the filters' biases
-give it, which is the same for all pictures. So only squares that are not empty are multiplied: of each, what
-its filters make less what the biases alone do.
+A filter covers squares of 3 by 3, and most of such pictures' squares are empty or equal to the same square of
+another picture: of the 64 in a picture of Seaquest 24 are not empty, and among 512 pictures 10 of each are
+new. An empty square gives the linear layer what the filters' biases give it, which is the same for all
+pictures. Of others, what the filters make, less what the biases alone do, is multiplied once for all that are
+equal; and so are the sums of the gradients by their outputs.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from pearl_marl.compiler.loading import compiled_loop
 SIDE = 3
 """Rows and columns of a filter."""
 FILTERS = 16
-BLOCK = 256
-"""Pictures that go through the filters and the linear layer at once, or fewer if they have many squares."""
-SQUARES = 1 << 14
-"""The most squares of a block's pictures together: what filters make of them fits a cache."""
+BLOCK = 512
+"""Pictures that go through both layers at once: their outputs fit a cache."""
+SHARED = 128
+"""Pictures from which on a thread has enough to do."""
 TOGETHER = 8
-"""Squares of the same place, of different pictures, that are multiplied together."""
+"""Squares that are multiplied together."""
 VECTORS = 4
 PANEL = VECTORS * FILTERS
 """Outputs of the linear layer that are summed together, in so many vectors."""
 
 
-_FLOAT, _VECTOR = ir.FloatType(), ir.VectorType(ir.FloatType(), FILTERS)
+_VECTOR = ir.VectorType(ir.FloatType(), FILTERS)
 _INDEX, _LANE = ir.IntType(64), ir.IntType(32)
 _intrinsic: Any = intrinsic
 
@@ -62,7 +62,13 @@ def _sixteen(builder: Any, number: Any) -> Any:
     return builder.shuffle_vector(single, single, ir.Constant(ir.VectorType(_LANE, FILTERS), [0] * FILTERS))
 
 
-def _plus_product(builder: Any, total: Any, factors: Any, numbers: Any) -> Any:
+def _panel(builder: Any, pointer: Any) -> list[Any]:
+    """Return the vectors of a panel from a number on."""
+    first = _vector(builder, pointer)
+    return [builder.load(builder.gep(first, [_LANE(k)]), align=4) for k in range(VECTORS)]
+
+
+def _plus_product(builder: Any, total: Any, numbers: Any, factors: Any) -> Any:
     """Return sums with products added, which processors that can round but once."""
     fused = ("contract",)
     return builder.fadd(total, builder.fmul(factors, numbers, flags=fused), flags=fused)
@@ -126,134 +132,108 @@ def _keep(_: Any, numbers: Any, at: Any, flags: Any) -> Any:
 
 
 @_intrinsic  # type: ignore[untyped-decorator]
-def _multiply(
-    _: Any, outputs: Any, column: Any, width: Any, pictures: Any, at: Any, made: Any, weights: Any, of: Any
-) -> Any:
-    """Add to a panel of some pictures' outputs what the filters made of a square of each, times weights.
+def _multiply(_: Any, products: Any, column: Any, width: Any, made: Any, rank: Any, weights: Any) -> Any:
+    """Write a panel of what some kinds' ``made``, from ``rank`` on, comes to when multiplied by weights.
 
-    The pictures are numbered by ``pictures[at:at + 4]``; of each, what the filters made has the same place in
-    ``made``. The weights are those from ``of`` on, ``width`` apart for each filter.
+    The weights are ``(filters, width)``, and the products ``(kinds, width)``, as one axis.
     """
-    rows = TOGETHER // 2
+    kinds = TOGETHER // 2
 
     def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        _, column, width, _, at, *_, of = operands
+        _, column, width, _, rank, _ = operands
 
         def element(k: int, index: Any) -> Any:
             return _pointer(context, builder, signature.args[k], operands[k], index)
 
-        totals, numbers = [], []
-        for row in range(rows):
-            picture = builder.load(element(3, builder.add(at, _INDEX(row))))
-            first = builder.add(builder.mul(picture, width), column)
-            numbers.append(element(5, builder.mul(builder.add(at, _INDEX(row)), _INDEX(FILTERS))))
-            totals.append(_vector(builder, element(0, first)))
-        sums = [
-            [builder.load(builder.gep(total, [_LANE(k)]), align=4) for k in range(VECTORS)]
-            for total in totals
-        ]
+        ranks = [builder.add(rank, _INDEX(k)) for k in range(kinds)]
+        numbers = [element(3, builder.mul(one, _INDEX(FILTERS))) for one in ranks]
+        sums = [[ir.Constant(_VECTOR, [0.0] * FILTERS)] * VECTORS for _ in ranks]
         for number in range(FILTERS):
-            start = builder.add(of, builder.mul(width, _INDEX(number)))
-            some = _vector(builder, element(6, start))
-            loaded = [builder.load(builder.gep(some, [_LANE(k)]), align=4) for k in range(VECTORS)]
-            for row in range(rows):
-                factor = _sixteen(builder, builder.load(builder.gep(numbers[row], [_LANE(number)])))
-                for k in range(VECTORS):
-                    sums[row][k] = _plus_product(builder, sums[row][k], factor, loaded[k])
-        for total, vectors in zip(totals, sums, strict=True):
-            for k, vector in enumerate(vectors):
-                builder.store(vector, builder.gep(total, [_LANE(k)]), align=4)
+            start = builder.add(column, builder.mul(width, _INDEX(number)))
+            loaded = _panel(builder, element(5, start))
+            for own, total in zip(numbers, sums, strict=True):
+                factor = _sixteen(builder, builder.load(builder.gep(own, [_LANE(number)])))
+                total[:] = [
+                    _plus_product(builder, *parts, factor) for parts in zip(total, loaded, strict=True)
+                ]
+        for one, total in zip(ranks, sums, strict=True):
+            to = _vector(builder, element(0, builder.add(builder.mul(one, width), column)))
+            for k, vector in enumerate(total):
+                builder.store(vector, builder.gep(to, [_LANE(k)]), align=4)
         return context.get_dummy_value()
 
-    number = types.int64
-    return types.none(outputs, number, number, pictures, number, made, weights, number), generate
+    return types.none(products, types.int64, types.int64, made, types.int64, weights), generate
 
 
 @_intrinsic  # type: ignore[untyped-decorator]
 def _add_products(
-    _: Any,
-    by_weights: Any,
-    to: Any,
-    width: Any,
-    made: Any,
-    of: Any,
-    pictures: Any,
-    first: Any,
-    count: Any,
-    by_outputs: Any,
-    column: Any,
+    _: Any, by_weights: Any, to: Any, width: Any, made: Any, of: Any, kinds: Any, sums: Any, column: Any
 ) -> Any:
-    """Add to the weights' gradients, of some filters and a panel of outputs, those by one place's squares.
+    """Add to the gradients by a place's weights, of four filters and a panel, those by all kinds of squares.
 
-    These are ``count`` squares, from ``first`` on. ``of`` is where the first filter made its first number.
+    ``of`` is the first of the filters. ``sums``, ``(kinds, width)`` as one axis, are the gradients by outputs.
     """
-    some_filters = 4
+    filters = 4
 
     def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        _, to, width, _, of, _, first, count, _, column = operands
+        _, to, width, _, of, kinds, _, column = operands
 
         def element(k: int, index: Any) -> Any:
             return _pointer(context, builder, signature.args[k], operands[k], index)
 
         starts = [
             _vector(builder, element(0, builder.add(to, builder.mul(width, _INDEX(j)))))
-            for j in range(some_filters)
+            for j in range(filters)
         ]
-        totals = [(start, k) for start in starts for k in range(VECTORS)]
-        sums = [cgutils.alloca_once(builder, _VECTOR) for _ in totals]
-        for (start, k), total in zip(totals, sums, strict=True):
-            builder.store(builder.load(builder.gep(start, [_LANE(k)]), align=4), total)
-        with cgutils.for_range(builder, count) as loop:
-            picture = builder.load(element(5, builder.add(first, loop.index)))
-            by = _vector(builder, element(8, builder.add(builder.mul(picture, width), column)))
-            loaded = [builder.load(builder.gep(by, [_LANE(k)]), align=4) for k in range(VECTORS)]
+        totals = [builder.gep(start, [_LANE(k)]) for start in starts for k in range(VECTORS)]
+        kept = [cgutils.alloca_once(builder, _VECTOR) for _ in totals]
+        for total, one in zip(totals, kept, strict=True):
+            builder.store(builder.load(total, align=4), one)
+        with cgutils.for_range(builder, kinds) as loop:
+            loaded = _panel(builder, element(6, builder.add(builder.mul(loop.index, width), column)))
             numbers = element(3, builder.add(of, builder.mul(loop.index, _INDEX(FILTERS))))
-            for j in range(some_filters):
+            for j in range(filters):
                 factor = _sixteen(builder, builder.load(builder.gep(numbers, [_LANE(j)])))
-                for vector, total in zip(loaded, sums[j * VECTORS : (j + 1) * VECTORS], strict=True):
-                    builder.store(_plus_product(builder, builder.load(total), factor, vector), total)
-        for (start, k), total in zip(totals, sums, strict=True):
-            builder.store(builder.load(total), builder.gep(start, [_LANE(k)]), align=4)
+                for vector, one in zip(loaded, kept[j * VECTORS : (j + 1) * VECTORS], strict=True):
+                    builder.store(_plus_product(builder, builder.load(one), vector, factor), one)
+        for total, one in zip(totals, kept, strict=True):
+            builder.store(builder.load(one), total, align=4)
         return context.get_dummy_value()
 
     index = types.int64
-    arguments = by_weights, index, index, made, index, pictures, index, index, by_outputs, index
-    return types.none(*arguments), generate
+    return types.none(by_weights, index, index, made, index, index, sums, index), generate
 
 
 @_intrinsic  # type: ignore[untyped-decorator]
-def _project(
-    _: Any, by_made: Any, pictures: Any, at: Any, by_outputs: Any, width: Any, weights: Any, of: Any
-) -> Any:
-    """Write the gradients by what the filters made of squares of some pictures, from the square ``at`` on.
+def _project(_: Any, by_made: Any, rank: Any, sums: Any, width: Any, weights: Any) -> Any:
+    """Write the gradients by what the filters made of some kinds of squares, from ``rank`` on.
 
-    The weights are those from ``of`` on: sixteen for each output.
+    The weights are ``(width, filters)``, and ``sums``, the gradients by outputs, ``(kinds, width)``.
     """
 
     def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        _, _, at, _, width, _, of = operands
+        _, rank, _, width, _ = operands
 
         def element(k: int, index: Any) -> Any:
             return _pointer(context, builder, signature.args[k], operands[k], index)
 
-        squares = [builder.add(at, _INDEX(row)) for row in range(TOGETHER)]
-        rows = [element(3, builder.mul(builder.load(element(1, square)), width)) for square in squares]
-        sums = [cgutils.alloca_once(builder, _VECTOR) for _ in squares]
-        for total in sums:
-            builder.store(ir.Constant(_VECTOR, [0.0] * FILTERS), total)
+        ranks = [builder.add(rank, _INDEX(k)) for k in range(TOGETHER)]
+        rows = [element(2, builder.mul(one, width)) for one in ranks]
+        kept = [cgutils.alloca_once(builder, _VECTOR) for _ in ranks]
+        for one in kept:
+            builder.store(ir.Constant(_VECTOR, [0.0] * FILTERS), one)
         with cgutils.for_range(builder, width) as loop:
-            start = builder.add(of, builder.mul(loop.index, _INDEX(FILTERS)))
-            loaded = builder.load(_vector(builder, element(5, start)), align=4)
-            for row, total in zip(rows, sums, strict=True):
+            numbers = _vector(builder, element(4, builder.mul(loop.index, _INDEX(FILTERS))))
+            loaded = builder.load(numbers, align=4)
+            for row, one in zip(rows, kept, strict=True):
                 factor = _sixteen(builder, builder.load(builder.gep(row, [loop.index])))
-                builder.store(_plus_product(builder, builder.load(total), factor, loaded), total)
-        for square, total in zip(squares, sums, strict=True):
-            to = _vector(builder, element(0, builder.mul(square, _INDEX(FILTERS))))
-            builder.store(builder.load(total), to, align=4)
+                builder.store(_plus_product(builder, builder.load(one), loaded, factor), one)
+        for rank, one in zip(ranks, kept, strict=True):
+            to = _vector(builder, element(0, builder.mul(rank, _INDEX(FILTERS))))
+            builder.store(builder.load(one), to, align=4)
         return context.get_dummy_value()
 
-    number = types.int64
-    return types.none(by_made, pictures, number, by_outputs, number, weights, number), generate
+    return types.none(by_made, types.int64, sums, types.int64, weights), generate
 
 
 @_intrinsic  # type: ignore[untyped-decorator]
@@ -285,222 +265,195 @@ _inlined: Callable[..., Any] = njit(forceinline=True)
 _compiled: Callable[..., Any] = njit(nogil=True, error_model="numpy")
 
 
-def _found(elements: Array, found: Array) -> int:
-    """Write down which elements are not 0; return how many."""
-    count, whole = 0, len(elements) // 64 * 64
-    for start in range(0, whole, 64):
-        bits = _not_zero(elements, start)
-        while bits:
-            found[count] = start + _lowest(bits)
-            bits &= bits - np.uint64(1)
-            count += 1
-    for k in range(whole, len(elements)):
-        found[count] = k
-        count += elements[k] != 0
-    return count
-
-
-_found_of: Callable[..., int] = _inlined(_found)
-
-
-class Squares(NamedTuple):
-    """The squares of 3 by 3 of a block's pictures that are not empty, by place; a block has room at each.
-
-    ``made`` is what the filters make of them, less what they make of an empty one, and ``flags`` which of
-    these are above 0 (of both, those that are); ``pictures`` the pictures that they belong to. ``ranks``, shape
-    ``(pictures, places)``, is where a square stands among those of its place, or -1, and ``counts`` how many
-    these are.
-    """
-
-    made: Array
-    flags: Array
-    pictures: Array
-    ranks: Array
-    counts: Array
+@_inlined
+def _some_not_zero(elements: Array, start: int, count: int) -> Any:
+    """Return a bit for each of ``count`` bytes, from ``start`` on, or of the first 64 of them."""
+    bits = _not_zero(elements, start)
+    return bits & ((np.uint64(1) << np.uint64(count)) - np.uint64(1)) if count < 64 else bits
 
 
 class FilterLayer(NamedTuple):
-    """Filters, and where pictures go through them."""
+    """Filters, and where pictures go through them. A place is a square's number; there is a margin of two."""
 
-    shape: tuple[int, int]  # of a picture
-    filters: Array  # the first number of its channel's filters, for each element of a picture
-    places: Array  # and the place of each
-    weights: Array  # (channels, 3, 3, filters), as one axis
+    shape: tuple[int, int, int]  # of a picture
+    places: Array  # the place of the square that begins with an element, for each
+    channels: Array  # and its channel
+    begins: Array  # the first element of each square
+    keys: Array  # random numbers (3, 3, channels), as one axis: see :func:`_hash`
+    weights: Array  # (3, 3, channels, filters), as one axis
     bias: Array
 
 
+class Kinds(NamedTuple):
+    """The squares of one place that differ: each has a rank, by its first picture."""
+
+    firsts: Array  # the first picture of each kind
+    made: Array  # what filters make of each, less what they make of an empty square; as one axis
+    flags: Array  # which of the filters' sums are above 0, a bit each
+    members: Array  # the pictures whose square is not empty
+    ranks: Array  # and the rank of each of those
+    table: Array  # hashes and ranks of kinds, at slots that hashes point to
+    slots: Array
+
+
 @cache
-def _places(shape: tuple[int, ...]) -> tuple[Array, Array]:
-    """Return for each element of a picture the first number of its channel's filters, and its place.
-
-    Places are those of squares with a margin of two: what an element adds outside of the picture is thrown
-    away.
-    """
-    columns = shape[1]
+def _places(shape: tuple[int, int, int]) -> tuple[Array, Array, Array]:
+    """Return the place of the square that begins with each element, its channel, and each square's first."""
+    rows, columns, channels = shape
     row, column, channel = (part.ravel() for part in np.indices(shape))
-    return channel * SIDE * SIDE * FILTERS, (row + 2) * (columns + 2) + column + 2
+    inner = (np.arange(rows - 2)[:, None] * columns + np.arange(columns - 2)) * channels
+    return (row + 2) * (columns + 2) + column + 2, channel, inner.ravel()
 
 
-def _filter(pictures: Array, layer: FilterLayer, squares: Squares) -> None:
-    """Write what the filters make of the squares of pictures ``(n, elements)`` that are not empty."""
-    rows, columns = layer.shape
-    wide = columns + 2
-    block = len(squares.pictures) // len(squares.counts)
-    found = np.empty(pictures.shape[1], np.int64)
-    sums = np.empty((rows + 2) * wide * FILTERS, np.float32)
-    touched = np.empty((rows + 2) * wide, np.bool_)
-    squares.counts[:] = 0
-    squares.ranks[:] = -1
-    for i in range(len(pictures)):
-        picture = pictures[i]
+@cache
+def _keys(channels: int) -> Array:
+    """Return a random number for each element of a square."""
+    return np.random.default_rng(0).integers(1, 1 << 63, SIDE * SIDE * channels, np.uint64)
+
+
+def _hash(elements: Array, layer: FilterLayer, hashes: Array) -> None:
+    """Write a hash of each square of the pictures that ``elements`` are: 0 of one that is empty.
+
+    It is the sum of the random numbers of elements that are set (Zobrist, 1970). That two squares which
+    differ have the same is as good as impossible: one pair in 10 to the power of 19 does.
+    """
+    rows, columns, channels = layer.shape
+    wide, size = columns + 2, rows * columns * channels
+    sums = np.empty((rows + 2) * wide, np.uint64)
+    for i in range(hashes.shape[1]):
         sums[:] = 0
-        touched[:] = False
-        for number in range(_found_of(picture, found)):
-            element = found[number]
-            place, of, value = layer.places[element], layer.filters[element], np.float32(picture[element])
-            for down in range(SIDE):
-                for right in range(SIDE):
-                    at = place - (down * wide + right)
-                    _add(sums, at * FILTERS, layer.weights, of + (down * SIDE + right) * FILTERS, value)
-                    touched[at] = True
+        for k in range(0, size, 64):
+            bits = _some_not_zero(elements, i * size + k, size - k)
+            while bits:
+                element = k + _lowest(bits)
+                bits &= bits - np.uint64(1)
+                place, channel = layer.places[element], layer.channels[element]
+                value = np.uint64(elements[i * size + element])
+                for down in range(SIDE):
+                    for right in range(SIDE):
+                        key = layer.keys[(down * SIDE + right) * channels + channel]
+                        sums[place - (down * wide + right)] += key * value
         for row in range(rows - 2):
             for column in range(columns - 2):
-                at, square = (row + 2) * wide + column + 2, row * (columns - 2) + column
-                if touched[at]:
-                    rank = squares.counts[square]
-                    to = square * block + rank
-                    squares.flags[to] = _rectify(squares.made, to * FILTERS, sums, at * FILTERS, layer.bias)
-                    squares.pictures[to] = i
-                    squares.ranks[i, square] = rank
-                    squares.counts[square] = rank + 1
-    for square in range(len(squares.counts)):
-        count = squares.counts[square]
-        for to in range(square * block + count, square * block + -(-count // TOGETHER) * TOGETHER):
-            squares.pictures[to] = block  # a row that nobody reads
-            squares.made[to * FILTERS : (to + 1) * FILTERS] = 0
+                hashes[row * (columns - 2) + column, i] = sums[(row + 2) * wide + column + 2]
 
 
-def _sum_up(squares: Squares, weights: Array, width: int, outputs: Array) -> None:
-    """Add to ``outputs``, rows of ``width``, what the filters made, times ``weights``.
+def _find_kinds(hashes: Array, kinds: Kinds) -> tuple[int, int]:
+    """Find the kinds of one place's squares; return how many they are, and how many squares are not empty."""
+    table, slots = kinds.table, kinds.slots
+    table[:] = 0
+    last = np.uint64(len(table) - 1)
+    count = members = 0
+    for i in range(len(hashes)):
+        key = hashes[i]
+        if key != 0:
+            slot = key & last
+            while table[slot] != key and table[slot] != 0:
+                slot = (slot + np.uint64(1)) & last
+            if table[slot] == 0:
+                table[slot], slots[slot], kinds.firsts[count] = key, count, i
+                count += 1
+            kinds.members[members], kinds.ranks[members] = i, slots[slot]
+            members += 1
+    return count, members
 
-    These are ``(squares, filters, width)``, as one axis.
-    """
-    block = len(squares.pictures) // len(squares.counts)
-    for square in range(len(squares.counts)):
-        first = square * block
-        for at in range(first, first + squares.counts[square], TOGETHER // 2):
-            for column in range(0, width, PANEL):
-                of = square * FILTERS * width + column
-                _multiply(outputs, column, width, squares.pictures, at, squares.made, weights, of)
 
-
-def _differentiate(
-    squares: Squares,
-    weights: Array,
-    width: int,
-    by_outputs: Array,
-    by_weights: Array,
-    by_made: Array,
-    by_biases: Array,
-) -> None:
-    """Add the gradients by the linear layer's weights; write those by what the filters made.
-
-    ``weights`` are ``(places, width, filters)``, as one axis. Of ``by_biases``, the first sixteen are what
-    squares that are not empty add to the gradients by the filters' biases; the others are what they would add
-    if they were empty, and the biases above 0.
-    """
-    block = len(squares.pictures) // len(squares.counts)
-    for square in range(len(squares.counts)):
-        first, count = square * block, squares.counts[square]
-        for number in range(0, FILTERS, 4):
-            for column in range(0, width, PANEL):
-                to, of = (square * FILTERS + number) * width + column, first * FILTERS + number
-                _add_products(
-                    by_weights,
-                    to,
-                    width,
-                    squares.made,
-                    of,
-                    squares.pictures,
-                    first,
-                    count,
-                    by_outputs,
-                    column,
-                )
-        for at in range(first, first + count, TOGETHER):
-            _project(by_made, squares.pictures, at, by_outputs, width, weights, square * width * FILTERS)
-        for at in range(first, first + count):
-            _add(by_biases, FILTERS, by_made, at * FILTERS, np.float32(1))
-            _keep(by_made, at * FILTERS, squares.flags[at])
-            _add(by_biases, 0, by_made, at * FILTERS, np.float32(1))
+def _filter(elements: Array, layer: FilterLayer, first: int, kinds: Kinds, count: int) -> None:
+    """Write what the filters make of the kinds of squares that begin ``first`` elements after a picture."""
+    rows, columns, channels = layer.shape
+    sums = np.empty(FILTERS, np.float32)
+    for rank in range(count):
+        start = kinds.firsts[rank] * rows * columns * channels + first
+        sums[:] = 0
+        for down in range(SIDE):
+            of = down * SIDE * channels
+            for k in range(0, SIDE * channels, 64):
+                bits = _some_not_zero(elements, start + k, SIDE * channels - k)
+                while bits:
+                    j = k + _lowest(bits)
+                    bits &= bits - np.uint64(1)
+                    _add(sums, 0, layer.weights, (of + j) * FILTERS, np.float32(elements[start + j]))
+            start += columns * channels
+        kinds.flags[rank] = _rectify(kinds.made, rank * FILTERS, sums, 0, layer.bias)
 
 
 def _filter_gradients(
-    pictures: Array, layer: FilterLayer, squares: Squares, by_made: Array, by_weights: Array
+    elements: Array,
+    layer: FilterLayer,
+    first: int,
+    kinds: Kinds,
+    count: int,
+    by_made: Array,
+    by_filters: Array,
 ) -> None:
-    """Add the gradients by the filters' weights, given those by what they made."""
-    rows, columns = layer.shape
-    wide = columns + 2
-    block = len(squares.pictures) // len(squares.counts)
-    found = np.empty(pictures.shape[1], np.int64)
-    by = np.zeros((rows + 2) * wide * FILTERS, np.float32)
-    for i in range(len(pictures)):
-        picture = pictures[i]
-        for row in range(rows - 2):
-            for column in range(columns - 2):
-                square = row * (columns - 2) + column
-                rank = squares.ranks[i, square]
-                if rank >= 0:
-                    at, of = (row + 2) * wide + column + 2, square * block + rank
-                    by[at * FILTERS : (at + 1) * FILTERS] = by_made[of * FILTERS : (of + 1) * FILTERS]
-        for number in range(_found_of(picture, found)):
-            element = found[number]
-            place, of, value = layer.places[element], layer.filters[element], np.float32(picture[element])
-            for down in range(SIDE):
-                for right in range(SIDE):
-                    at = place - (down * wide + right)
-                    _add(by_weights, of + (down * SIDE + right) * FILTERS, by, at * FILTERS, value)
+    """Add the gradients by the filters' weights, given those by what they made of such squares."""
+    rows, columns, channels = layer.shape
+    for rank in range(count):
+        start = kinds.firsts[rank] * rows * columns * channels + first
+        for down in range(SIDE):
+            of = down * SIDE * channels
+            for k in range(0, SIDE * channels, 64):
+                bits = _some_not_zero(elements, start + k, SIDE * channels - k)
+                while bits:
+                    j = k + _lowest(bits)
+                    bits &= bits - np.uint64(1)
+                    value = np.float32(elements[start + j])
+                    _add(by_filters, (of + j) * FILTERS, by_made, rank * FILTERS, value)
+            start += columns * channels
 
 
-_filter_of, _sum_up_of, _differentiate_of, _filter_gradients_of = (
-    _compiled(part) for part in (_filter, _sum_up, _differentiate, _filter_gradients)
-)
-
-
-def _no_squares(places: int, size: int) -> Squares:
-    """Return arrays for the squares of so many pictures, which have so many places."""
-    return Squares(
-        np.empty(places * size * FILTERS, np.float32),
-        np.empty(places * size, np.uint16),
-        np.empty(places * size, np.int64),
-        np.empty((size, places), np.int16),
-        np.empty(places, np.int64),
+def _no_kinds(size: int) -> Kinds:
+    """Return arrays for the kinds of so many squares."""
+    slots = 2
+    while slots < 2 * size:
+        slots *= 2
+    return Kinds(
+        np.empty(size, np.int64),
+        np.zeros(size * FILTERS, np.float32),
+        np.empty(size, np.uint16),
+        np.empty(size, np.int64),
+        np.empty(size, np.int64),
+        np.empty(slots, np.uint64),
+        np.empty(slots, np.int64),
     )
 
 
-_no_squares_of = _compiled(_no_squares)
+_hash_of, _find_kinds_of, _filter_of, _filter_gradients_of, _no_kinds_of = (
+    _compiled(part) for part in (_hash, _find_kinds, _filter, _filter_gradients, _no_kinds)
+)
 
 
 def _outputs(
-    pictures: Array, layer: FilterLayer, size: int, weights: Array, of_empty: Array, outputs: Array
+    elements: Array, layer: FilterLayer, size: int, weights: Array, of_empty: Array, outputs: Array
 ) -> None:
     """Write what the linear layer makes of pictures, a block of ``size`` after the other.
 
-    ``weights`` are ``(places, filters, width)``, where the width is one of whole panels.
+    ``weights`` are ``(places, filters * width)``, and ``outputs`` ``(pictures, width)``, of whole panels. Of
+    ``elements``, 64 more have to be there.
     """
-    width = weights.shape[2]
-    squares = _no_squares_of(len(weights), size)
-    rows = np.zeros((size + 1, width), np.float32)  # and one for squares that make up a number
-    for start in range(0, len(pictures), size):
-        some, made = pictures[start : start + size], outputs[start : start + size]
-        rows[:, : len(of_empty)] = of_empty
-        _filter_of(some, layer, squares)
-        _sum_up_of(squares, weights.ravel(), width, rows.ravel())
-        made[:] = rows[: len(made), : len(of_empty)]
+    width, kinds = outputs.shape[1], _no_kinds_of(size)
+    hashes = np.empty((len(weights), size + TOGETHER), np.uint64)
+    products = np.empty(size * width, np.float32)
+    for start in range(0, len(outputs), size):
+        rows, n = outputs[start : start + size].ravel(), min(size, len(outputs) - start)
+        some = elements[start * len(layer.places) :]
+        _hash_of(some, layer, hashes[:, :n])
+        for i in range(n):
+            rows[i * width : (i + 1) * width] = of_empty
+        for place in range(len(weights)):
+            count, members = _find_kinds_of(hashes[place, :n], kinds)
+            _filter_of(some, layer, layer.begins[place], kinds, count)
+            for rank in range(0, count, TOGETHER // 2):
+                for column in range(0, width, PANEL):
+                    _multiply(products, column, width, kinds.made, rank, weights[place])
+            for k in range(members):
+                at, of = kinds.members[k] * width, kinds.ranks[k] * width
+                for column in range(0, width, FILTERS):
+                    _add(rows, at + column, products, of + column, np.float32(1))
 
 
 def _gradients(
-    pictures: Array,
+    elements: Array,
     layer: FilterLayer,
     size: int,
     weights: Array,
@@ -511,18 +464,36 @@ def _gradients(
 ) -> None:
     """Add the gradients of all pictures, a block of ``size`` after the other.
 
-    ``weights`` are ``(places, width, filters)`` here; for the others see :func:`_differentiate`.
+    ``weights`` are ``(places, width * filters)`` here. Of ``by_biases``, the first sixteen are what squares
+    that are not empty add to the gradients by the filters' biases; the others are what they would add if they
+    were empty, and the biases above 0.
     """
-    width = weights.shape[1]
-    squares = _no_squares_of(len(weights), size)
-    by_made = np.empty_like(squares.made)
-    rows = np.zeros((size + 1, width), np.float32)
-    for start in range(0, len(pictures), size):
-        some, by = pictures[start : start + size], by_outputs[start : start + size]
-        rows[: len(by), : by.shape[1]] = by
-        _filter_of(some, layer, squares)
-        _differentiate_of(squares, weights.ravel(), width, rows.ravel(), by_weights, by_made, by_biases)
-        _filter_gradients_of(some, layer, squares, by_made, by_filters)
+    width, kinds = by_outputs.shape[1], _no_kinds_of(size)
+    hashes = np.empty((len(weights), size + TOGETHER), np.uint64)
+    sums, by_made = np.zeros(size * width, np.float32), np.empty(size * FILTERS, np.float32)
+    for start in range(0, len(by_outputs), size):
+        by, n = by_outputs[start : start + size].ravel(), min(size, len(by_outputs) - start)
+        some = elements[start * len(layer.places) :]
+        _hash_of(some, layer, hashes[:, :n])
+        for place in range(len(weights)):
+            count, members = _find_kinds_of(hashes[place, :n], kinds)
+            _filter_of(some, layer, layer.begins[place], kinds, count)
+            sums[: count * width] = 0
+            for k in range(members):
+                at, of = kinds.ranks[k] * width, kinds.members[k] * width
+                for column in range(0, width, FILTERS):
+                    _add(sums, at + column, by, of + column, np.float32(1))
+            for number in range(0, FILTERS, 4):
+                for column in range(0, width, PANEL):
+                    to = (place * FILTERS + number) * width + column
+                    _add_products(by_weights, to, width, kinds.made, number, count, sums, column)
+            for rank in range(0, count, TOGETHER):
+                _project(by_made, rank, sums, width, weights[place])
+            for rank in range(count):
+                _add(by_biases, FILTERS, by_made, rank * FILTERS, np.float32(1))
+                _keep(by_made, rank * FILTERS, kinds.flags[rank])
+                _add(by_biases, 0, by_made, rank * FILTERS, np.float32(1))
+            _filter_gradients_of(some, layer, layer.begins[place], kinds, count, by_made, by_filters)
 
 
 _outputs_of = compiled_loop(_outputs)
@@ -532,8 +503,7 @@ _gradients_of = compiled_loop(_gradients)
 class PlanesLayer(torch.autograd.Function):
     """A linear layer over what filters of 3 by 3 make of planes, and is above 0.
 
-    A block of pictures at a time goes through both, while what the filters made is in the processor's
-    cache. It is not kept for the gradients: to make it again takes less time than to fetch it from memory.
+    Squares are not kept for the gradients: to find them again takes less time than to fetch them from memory.
     """
 
     @staticmethod
@@ -570,52 +540,51 @@ class _Planes:
 
     def __init__(self, planes: Tensor, filters: Tensor, bias: Tensor) -> None:
         n, rows, columns, channels = planes.shape
-        by_channel = filters.detach().numpy().transpose(1, 2, 3, 0)
-        self._elements = planes.flatten(1).contiguous().numpy().view(np.uint8)
+        by_element = filters.detach().numpy().transpose(2, 3, 1, 0)
+        self._n, self._picture = n, rows * columns * channels
+        # 64 are read at a time, also where fewer are left.
+        self._elements = np.zeros(n * self._picture + 64, np.uint8)
+        self._elements[:-64] = planes.flatten().numpy().view(np.uint8)
         self._layer = FilterLayer(
-            (rows, columns),
+            (rows, columns, channels),
             *_places((rows, columns, channels)),
-            np.ascontiguousarray(by_channel, np.float32).ravel(),
+            _keys(channels),
+            np.ascontiguousarray(by_element, np.float32).ravel(),
             np.ascontiguousarray(bias.detach().numpy(), np.float32),
         )
         self._squares = (rows - 2) * (columns - 2)
-        most = min(BLOCK, SQUARES // self._squares, n)
-        self._size = max(most // TOGETHER, 1) * TOGETHER
+        self._size = min(BLOCK, -(-max(n, 1) // TOGETHER) * TOGETHER)
 
     def outputs(self, weights: Tensor, bias: Tensor) -> Tensor:
         """Return what the linear layer makes of all pictures."""
-        width, n = len(weights), len(self._elements)
-        outputs = np.empty((n, width), np.float32)
-        of_empty = torch.addmv(bias, weights, self._of_empty()).numpy()
-        ordered = torch.zeros(self._squares, FILTERS, _whole(width))
-        ordered[..., :width] = weights.t().view(self._squares, FILTERS, width)
+        width, n = len(weights), self._n
+        of_empty = _whole(torch.addmv(bias, weights, self._of_empty())).numpy()
+        by_place = _whole(weights).t().contiguous().view(self._squares, -1).numpy()
+        outputs = np.empty((n, len(of_empty)), np.float32)
 
         def write(some: slice) -> None:
-            arguments = self._layer, self._size, ordered.numpy(), of_empty, outputs[some]
-            _outputs_of()(self._elements[some], *arguments)
+            arguments = self._size, by_place, of_empty, outputs[some]
+            _outputs_of()(self._elements[some.start * self._picture :], self._layer, *arguments)
 
-        if n > self._size and torch.get_num_threads() > 1:
-            middle = n // self._size // 2 * self._size or self._size
-            other = _helper().submit(write, slice(middle, n))
-            write(slice(0, middle))
+        if n >= 2 * SHARED and torch.get_num_threads() > 1:
+            other = _helper().submit(write, slice(n // 2, n))
+            write(slice(0, n // 2))
             other.result()
         else:
             write(slice(0, n))
-        return torch.from_numpy(outputs)
+        return torch.from_numpy(outputs)[:, :width]
 
     def gradients(self, weights: Tensor, by_outputs: Tensor) -> Iterator[Tensor]:
         """Yield those by filters, their biases, weights and biases, given those by the outputs."""
         width, layer = len(weights), self._layer
-        ordered = torch.zeros(self._squares, _whole(width), FILTERS)
-        ordered[:, :width] = weights.view(width, self._squares, FILTERS).transpose(0, 1)
-        by_weights = torch.zeros(self._squares * FILTERS, _whole(width))
+        by_place = _whole(weights).view(-1, self._squares, FILTERS).transpose(0, 1).flatten(1).numpy()
+        by_rows = _whole(by_outputs.t()).t().contiguous()
+        by_weights = torch.zeros(weights.shape[1], by_rows.shape[1])
         by_filters, by_biases = np.zeros_like(layer.weights), np.zeros(2 * FILTERS, np.float32)
-        by_rows = by_outputs.contiguous().numpy()
-        arguments = ordered.numpy(), by_rows, by_weights.numpy().ravel(), by_filters, by_biases
-        _gradients_of()(self._elements, layer, self._size, *arguments)
-        channels = len(by_filters) // (SIDE * SIDE * FILTERS)
-        whole = torch.from_numpy(by_filters).view(channels, SIDE, SIDE, FILTERS)
-        yield whole.permute(3, 0, 1, 2).contiguous()
+        arguments = by_rows.numpy(), by_weights.numpy().ravel(), by_filters, by_biases
+        _gradients_of()(self._elements, layer, self._size, by_place, *arguments)
+        whole = torch.from_numpy(by_filters).view(SIDE, SIDE, layer.shape[2], FILTERS)
+        yield whole.permute(3, 2, 0, 1).contiguous()
         of_empty, total = self._of_empty(), by_outputs.sum(0)
         # If all squares were empty, their biases would get these; less those of squares that are not.
         by_empty = torch.mv(weights.t(), total).view(self._squares, FILTERS).sum(0)
@@ -629,6 +598,7 @@ class _Planes:
         return torch.from_numpy(self._layer.bias).relu().repeat(self._squares)
 
 
-def _whole(width: int) -> int:
-    """Return the width of whole panels."""
-    return -(-width // PANEL) * PANEL
+def _whole(rows: Tensor) -> Tensor:
+    """Return rows, of a layer's outputs, with some of zeros where they do not make up whole panels."""
+    missing = -len(rows) % PANEL
+    return torch.cat((rows, rows.new_zeros(missing, *rows.shape[1:]))) if missing else rows
