@@ -44,6 +44,7 @@ PANEL = VECTORS * FILTERS
 _VECTOR = ir.VectorType(ir.FloatType(), FILTERS)
 _INDEX, _LANE = ir.IntType(64), ir.IntType(32)
 _intrinsic: Any = intrinsic
+_alloca: Any = cgutils.alloca_once
 
 
 def _pointer(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
@@ -171,7 +172,7 @@ def _add_products(
 ) -> Any:
     """Add to the gradients by a place's weights, of four filters and a panel, those by all kinds of squares.
 
-    ``of`` is the first of the filters. ``sums``, ``(kinds, width)`` as one axis, are the gradients by outputs.
+    ``of`` is the first of the filters. ``sums``, ``(kinds, width)``, are the gradients by outputs.
     """
     filters = 4
 
@@ -186,7 +187,7 @@ def _add_products(
             for j in range(filters)
         ]
         totals = [builder.gep(start, [_LANE(k)]) for start in starts for k in range(VECTORS)]
-        kept = [cgutils.alloca_once(builder, _VECTOR) for _ in totals]
+        kept = [_alloca(builder, _VECTOR) for _ in totals]
         for total, one in zip(totals, kept, strict=True):
             builder.store(builder.load(total, align=4), one)
         with cgutils.for_range(builder, kinds) as loop:
@@ -219,7 +220,7 @@ def _project(_: Any, by_made: Any, rank: Any, sums: Any, width: Any, weights: An
 
         ranks = [builder.add(rank, _INDEX(k)) for k in range(TOGETHER)]
         rows = [element(2, builder.mul(one, width)) for one in ranks]
-        kept = [cgutils.alloca_once(builder, _VECTOR) for _ in ranks]
+        kept = [_alloca(builder, _VECTOR) for _ in ranks]
         for one in kept:
             builder.store(ir.Constant(_VECTOR, [0.0] * FILTERS), one)
         with cgutils.for_range(builder, width) as loop:
@@ -512,14 +513,14 @@ class PlanesLayer(torch.autograd.Function):
     ) -> Tensor:
         """Return what the layer makes of planes, for which :func:`are_planes`; weights are PyTorch's."""
         ctx.save_for_backward(planes, filters, filter_bias, weights)
-        return _Planes(planes, filters, filter_bias).outputs(weights.detach(), bias.detach())
+        return Planes(planes, filters, filter_bias).outputs(weights.detach(), bias.detach())
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, by_outputs: Tensor) -> tuple[Tensor | None, ...]:
         """Return the gradients by all weights."""
         planes, filters, filter_bias, weights = ctx.saved_tensors
-        return None, *_Planes(planes, filters, filter_bias).gradients(weights, by_outputs)
+        return None, *Planes(planes, filters, filter_bias).gradients(weights, by_outputs)
 
 
 def are_planes(space: Space[Any]) -> bool:
@@ -535,7 +536,7 @@ def _helper() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1, "pearl-planes")
 
 
-class _Planes:
+class Planes:
     """Pictures and filters: what the linear layer makes of both, and the gradients."""
 
     def __init__(self, planes: Tensor, filters: Tensor, bias: Tensor) -> None:
@@ -572,7 +573,7 @@ class _Planes:
             other.result()
         else:
             write(slice(0, n))
-        return torch.from_numpy(outputs)[:, :width]
+        return torch.from_numpy(outputs)[:, :width].contiguous()
 
     def gradients(self, weights: Tensor, by_outputs: Tensor) -> Iterator[Tensor]:
         """Yield those by filters, their biases, weights and biases, given those by the outputs."""

@@ -1,4 +1,4 @@
-"""Networks of two hidden layers with hyperbolic tangents, forward and back, compiled for a CPU.
+"""Networks of two hidden layers, forward and back, compiled for a CPU.
 
 They are small, and PyTorch would spend most of its time on calling operations and on moving values between
 them. Here a few rows go through all layers at once, while they are in the processor's first cache.
@@ -46,6 +46,7 @@ class Layers(NamedTuple):
     third: Matrix  # (outputs, width)
     bias3: Vector
     layer_norm: bool  # whether what the first and the second layer make is standardised, row by row
+    rectified: bool  # whether of that, what is below 0 becomes 0; else all becomes its hyperbolic tangent
 
 
 class NetworkInputs(NamedTuple):
@@ -163,8 +164,12 @@ def exponential(x: Any) -> Any:
 
 
 @called
-def _tanh(h: Array, n: int) -> None:
-    """Replace the first ``n`` numbers by their hyperbolic tangents."""
+def _bend(h: Array, n: int, rectified: bool) -> None:
+    """Put the first ``n`` numbers through the nonlinearity."""
+    if rectified:
+        for i in range(n):
+            h[i] = _NONE if h[i] < _NONE else h[i]
+        return
     for i in range(n):
         h[i] = _ONE - _TWO / (exponential(h[i] * _TWO) + _ONE)
 
@@ -323,12 +328,12 @@ def forward_rows(layers: Layers, weights: Padded, observed: NetworkInputs, rows:
     width = layers.first.shape[0]
     if layers.layer_norm:
         _standardised(h1, width, high, some, tile.norm1, tile.scale1)
-    _tanh(h1, some * high)
+    _bend(h1, some * high, layers.rectified)
     _biased(h2, weights.bias2, some)
     _product(h2, high, h1, high, 1, weights.second, high, some, high, high)
     if layers.layer_norm:
         _standardised(h2, width, high, some, tile.norm2, tile.scale2)
-    _tanh(h2, some * high)
+    _bend(h2, some * high, layers.rectified)
     _biased(tile.outputs, weights.bias3, some)
     _product(tile.outputs, out, h2, high, 1, weights.third, out, some, out, high)
 
@@ -363,7 +368,11 @@ def _columns(by: Array, bias: Array, rows: int) -> None:
 
 
 @called
-def _through_tanh(by: Array, h: Array, n: int) -> None:
+def _through_bend(by: Array, h: Array, n: int, rectified: bool) -> None:
+    if rectified:
+        for i in range(n):
+            by[i] = by[i] if h[i] > _NONE else _NONE
+        return
     for i in range(n):
         by[i] *= _ONE - h[i] * h[i]
 
@@ -390,14 +399,14 @@ def backward_rows(
     _product(total.third, high, by, 1, out, h2, high, _up(outputs, HIGH), high, some)
     by_h2[: some * high] = 0
     _product(by_h2, high, by, out, 1, weights.third_back, high, some, high, outputs)
-    _through_tanh(by_h2, h2, some * high)
+    _through_bend(by_h2, h2, some * high, layers.rectified)
     if layers.layer_norm:
         _through_norm(by_h2, width, high, some, tile.norm2, tile.scale2)
     _columns(by_h2, total.bias2, some)
     _product(total.second, high, by_h2, 1, high, h1, high, high, high, some)
     by_h1[: some * high] = 0
     _product(by_h1, high, by_h2, high, 1, weights.second_back, high, some, high, high)
-    _through_tanh(by_h1, h1, some * high)
+    _through_bend(by_h1, h1, some * high, layers.rectified)
     if layers.layer_norm:
         _through_norm(by_h1, width, high, some, tile.norm1, tile.scale1)
     _columns(by_h1, total.bias1, some)

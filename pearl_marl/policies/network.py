@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
@@ -15,7 +16,7 @@ from torch.nn.functional import layer_norm
 from pearl_marl.compiler.packing import unpacked
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies import dense
-from pearl_marl.policies.convolution import FILTERS, SIDE, PlanesLayer, are_planes
+from pearl_marl.policies.convolution import FILTERS, SIDE, Planes, PlanesLayer, are_planes
 from pearl_marl.policies.memory import Memory, Recall
 from pearl_marl.spec import EnvSpec
 from pearl_marl.spec.elements import are_numbers, bounds
@@ -150,10 +151,13 @@ class Encoder(nn.Module):
             # Channels stay last, as they are in the observations: to reorder them would be a copy.
             features = self.linear(self.convolution(planes).relu_().permute(0, 2, 3, 1).flatten(1))
         else:
-            layers = self.convolution, self.linear
-            weights = (tensor for layer in layers for tensor in (layer.weight, layer.bias))
-            features = PlanesLayer.apply(obs, *weights)  # type: ignore[no-untyped-call]
+            features = PlanesLayer.apply(obs, *self.picture_weights())  # type: ignore[no-untyped-call]
         return features
+
+    def picture_weights(self) -> tuple[Tensor, ...]:
+        """Return those that pictures go through: of the filters, and of the linear layer."""
+        layers: tuple[Any, ...] = self.convolution, self.linear
+        return tuple(tensor for layer in layers for tensor in (layer.weight, layer.bias))
 
     def numbers(self, obs: Tensor) -> Tensor:
         """Return the rows of the table that observations choose, shape ``(batch, parts)``."""
@@ -249,21 +253,32 @@ class Network(nn.Module):
             outputs = self.dense_outputs(self.observed(obs, position))
         return outputs
 
-    def layers(self, instead: Mapping[Tensor, Tensor] | None = None) -> dense.Layers:
-        """Return the weights as compiled loops take them, or the tensors that stand for them ``instead``."""
+    def layers(
+        self, instead: Mapping[Tensor, Tensor] | None = None, made: Tensor | None = None
+    ) -> dense.Layers:
+        """Return the weights as compiled loops take them, or the tensors that stand for them ``instead``.
+
+        For pictures, these are the layers behind the first; ``made``, of which numbers are rows, is what that
+        makes, or where the gradients by it go.
+        """
         encoder, empty = self.encoder, _EMPTY.expand(0, self.hidden.in_features)
-        numbers = encoder.kind == "numbers"
+        first: tuple[Tensor, Tensor, Tensor]
+        if made is not None:
+            first = empty.t(), made, made.new_zeros(self.hidden.in_features)
+        elif encoder.kind == "numbers":
+            first = empty.t(), encoder.table.weight, encoder.bias
+        else:
+            first = encoder.linear.weight, empty, encoder.linear.bias
         tensors: tuple[Tensor, ...] = (
-            empty.t() if numbers else encoder.linear.weight,
-            encoder.table.weight if numbers else empty,
+            *first[:2],
             empty if self.indicator is None else self.indicator.weight,
-            encoder.bias if numbers else encoder.linear.bias,
+            first[2],
             *(self.hidden.weight, self.hidden.bias, self.output.weight, self.output.bias),
         )
         if instead is not None:
             tensors = tuple(instead.get(tensor, tensor) for tensor in tensors)
         arrays = (tensor.detach().numpy() for tensor in tensors)
-        return dense.Layers(*arrays, self.layer_norm)  # type: ignore[call-arg, arg-type]
+        return dense.Layers(*arrays, self.layer_norm, encoder.kind == "picture")  # type: ignore[call-arg, arg-type]
 
     def observed(self, obs: Tensor, position: Tensor | None) -> dense.NetworkInputs:
         """Return observations as compiled loops take them."""
@@ -286,6 +301,48 @@ class Network(nn.Module):
         outputs = np.empty((len(observed.x), self.output.out_features), np.float32)
         dense.forward()(self.layers(), observed, outputs)
         return torch.from_numpy(outputs)
+
+
+class Pictures:
+    """Pictures that a network is given, for compiled loops that learn the layers behind the first.
+
+    ``inputs`` are those of the loops, with a row for each picture. What the first layer makes of those that
+    the loops are given is a table, and they are numbers of its rows.
+    """
+
+    def __init__(self, network: Network, obs: Tensor, position: Tensor | None) -> None:
+        self._network, self._obs = network, network.encoder.whole(obs)
+        self._numbers = np.zeros((len(obs), 1), np.int64)
+        none, nothing = np.empty(0, np.float32), np.empty((len(obs), 0), np.float32)
+        positions = np.empty(0, np.int64)
+        if network.indicator is not None:
+            positions = torch.as_tensor(position).contiguous().numpy()
+        self.inputs = dense.NetworkInputs(nothing, none, none, self._numbers, positions)
+
+    @contextmanager
+    def first_layer(
+        self, rows: Tensor, gradients: Mapping[Tensor, Tensor]
+    ) -> Iterator[tuple[Tensor, Tensor]]:
+        """Yield what the first layer makes of some pictures, and room for the gradients by that.
+
+        From these, the gradients by the layer's weights follow at the end.
+        """
+        parameters = self._network.encoder.picture_weights()
+        filters, filter_bias, weights, bias = (parameter.detach() for parameter in parameters)
+        planes = Planes(self._obs[rows], filters, filter_bias)
+        self._numbers[rows.numpy(), 0] = np.arange(len(rows))
+        made = planes.outputs(weights, bias)
+        by_made = torch.empty_like(made)
+        yield made, by_made
+        for parameter, gradient in zip(parameters, planes.gradients(weights, by_made), strict=True):
+            gradients[parameter].copy_(gradient)
+
+
+def takes_planes(network: nn.Module) -> bool:
+    """Return whether compiled loops can learn it with :class:`Pictures`."""
+    if not isinstance(network, Network) or network.memory is not None or network.encoder.kind != "picture":
+        return False
+    return network.encoder.planes and not network.output.weight.is_cuda
 
 
 def is_dense(network: nn.Module) -> bool:

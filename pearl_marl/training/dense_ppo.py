@@ -8,7 +8,7 @@ minibatch, and small networks would wait for these calls. The networks are those
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -34,7 +34,7 @@ from pearl_marl.policies.dense import (
     store_gradients,
     tile_of,
 )
-from pearl_marl.policies.network import MASKED, is_dense
+from pearl_marl.policies.network import MASKED, Pictures, is_dense, takes_planes
 from pearl_marl.training.actor_critic import ActorCritic
 from pearl_marl.training.halves import Halves
 from pearl_marl.training.rollout import RolloutBuffer
@@ -216,12 +216,46 @@ def _gradients(
         figures[k] *= share
 
 
+def _shared_gradients(
+    layers: Layers,
+    gradients: Layers,
+    inputs: NetworkInputs,
+    samples: Samples,
+    rows: Array,
+    loss: Loss,
+    figures: Array,
+) -> None:
+    """Do the same where actor and critic share all layers but the last, whose last output is the critic's."""
+    n, weights, tile, total = len(rows), padded(layers), tile_of(layers), gradient_sums(gradients)
+    critic, out = len(layers.bias3) - 1, len(weights.bias3)
+    outputs, none = tile.outputs, np.zeros(0, np.float32)
+    figures[:] = 0
+    for first in range(0, n, ROWS):
+        some = rows[first : first + ROWS]
+        forward_rows(layers, weights, inputs, some, tile)
+        for s in range(len(some)):
+            row, start = some[s], s * out
+            error = outputs[start + critic] - samples.returns[row]
+            figures[1] += error * error
+            _score(outputs, (start, critic), samples, row, none, loss, figures)
+            outputs[start + critic] = error * loss.share
+            outputs[start + critic + 1 : start + out] = 0
+        outputs[len(some) * out :] = 0
+        backward_rows(layers, weights, inputs, some, tile, total, gradients)
+    store_gradients(total, gradients)
+    for k in range(4):
+        figures[k] *= loss.share
+
+
 _loss_of = compiled_loop(_loss, fused=True)
 _gradients_of = compiled_loop(_gradients, dense, fused=True)
+_shared_gradients_of = compiled_loop(_shared_gradients, dense, fused=True)
 
 
 def fits(model: ActorCritic) -> bool:
     """Return whether these loops can learn a model's networks."""
+    if model.shared:
+        return takes_planes(model.actor) and not model.policy.heads and not model.continuous
     return is_dense(model.actor) and is_dense(model.critic) and not model.policy.heads
 
 
@@ -234,42 +268,86 @@ class PPOGradients:
 
     def __init__(self, model: ActorCritic, rollout: RolloutBuffer, clip: float, entropy: float) -> None:
         self._clip, self._entropy = clip, entropy
-        inputs = rollout.inputs
-        observed: Any = model.actor.observed(inputs.obs, inputs.position)
-        column, critic_obs, critic_position = np.empty(0, np.int64), inputs.obs, inputs.position
-        if model.central:
-            assert inputs.state is not None
-            critic_obs, critic_position = inputs.state, None
-            if inputs.position is not None:
-                column = inputs.position.contiguous().numpy()
-        self._inputs = observed, model.critic.observed(critic_obs, critic_position)
+        inputs, column = rollout.inputs, np.empty(0, np.int64)
+        if model.central and inputs.position is not None:
+            column = inputs.position.contiguous().numpy()
         masks = inputs.masks
-        self._samples = Samples(
+        samples = Samples(
             rollout.actions.contiguous().numpy(),
             np.zeros((0, model.policy.outputs), np.int8) if masks is None else masks.numpy(),
             column,
             *(part.contiguous().numpy() for part in (rollout.log_probs, rollout.advantages, rollout.returns)),
         )
-        self._weights = _weights(model, None)
-        self._halves = Halves(model, model.policy.about["width"], partial(_weights, model))
+        self._advantages = samples.advantages
+        kind = _Shared if model.shared else _Separate
+        self._part: _Shared | _Separate = kind(model, rollout, samples)
+        self._halves = Halves(model, model.policy.about["width"], self._part.gradients)
 
     def __call__(self, rows: Tensor) -> Tensor:
         """Find the gradients of some rows."""
         numbers = rows.numpy()
-        loss = _loss_of()(self._samples.advantages, numbers, self._clip, self._entropy)
-
-        def half(some: Array, gradients: Weights) -> Array:
-            figures = np.empty(4)
-            _gradients_of()(self._weights, gradients, *self._inputs, self._samples, some, loss, figures)
-            return figures
-
-        return self._halves.find(numbers, half)
+        loss = _loss_of()(self._advantages, numbers, self._clip, self._entropy)
+        return self._halves.find(numbers, partial(self._part, loss))
 
 
-def _weights(model: ActorCritic, instead: Mapping[Tensor, Tensor] | None) -> Weights:
-    """Return a model's weights as compiled loops take them, or the tensors that stand for them."""
-    deviation = torch.empty(0)
-    if model.continuous:
-        deviation = model.log_deviation if instead is None else instead[model.log_deviation]
-    layers = model.actor.layers(instead), model.critic.layers(instead)
-    return Weights(*layers, deviation.detach().numpy())
+class _Separate:
+    """Finds those of a part of a minibatch, where actor and critic share nothing."""
+
+    def __init__(self, model: ActorCritic, rollout: RolloutBuffer, samples: Samples) -> None:
+        self._model, self._samples = model, samples
+        self._weights = self.gradients(None)
+        inputs = rollout.inputs
+        critic_obs, critic_position = inputs.obs, inputs.position
+        if model.central:
+            assert inputs.state is not None
+            critic_obs, critic_position = inputs.state, None
+        observed = model.actor.observed(inputs.obs, inputs.position)
+        self._inputs = observed, model.critic.observed(critic_obs, critic_position)
+
+    def gradients(self, instead: Mapping[Tensor, Tensor] | None) -> Weights:
+        """Return the model's weights as compiled loops take them, or the tensors that stand for them."""
+        model, deviation = self._model, torch.empty(0)
+        if model.continuous:
+            deviation = model.log_deviation if instead is None else instead[model.log_deviation]
+        layers = model.actor.layers(instead), model.critic.layers(instead)
+        return Weights(*layers, deviation.detach().numpy())
+
+    def __call__(self, loss: Loss, rows: Array, gradients: Weights) -> Array:
+        """Write the gradients; return the losses."""
+        figures = np.empty(4)
+        _gradients_of()(self._weights, gradients, *self._inputs, self._samples, rows, loss, figures)
+        return figures
+
+
+class _Shared:
+    """Finds those of a part of a minibatch of pictures, where both share all layers but the last."""
+
+    def __init__(self, model: ActorCritic, rollout: RolloutBuffer, samples: Samples) -> None:
+        self._model, self._samples = model, samples
+        self._pictures = Pictures(model.actor, rollout.inputs.obs, rollout.inputs.position)
+
+    def gradients(self, instead: Mapping[Tensor, Tensor]) -> Mapping[Tensor, Tensor]:
+        """Return the tensors for the gradients by parameters."""
+        return instead
+
+    def __call__(self, loss: Loss, rows: Array, gradients: Mapping[Tensor, Tensor]) -> Array:
+        """Write the gradients; return the losses."""
+        actor, critic, figures = self._model.actor, self._model.critic, np.empty(4)
+        heads = [torch.cat((actor.output.weight, critic.weight)), torch.cat((actor.output.bias, critic.bias))]
+        by_heads = [torch.empty_like(head) for head in heads]
+        with self._pictures.first_layer(torch.from_numpy(rows), gradients) as (made, by_made):
+            weights = _with_heads(actor.layers(made=made), heads)
+            by_weights = _with_heads(actor.layers(gradients, by_made), by_heads)
+            inputs = self._pictures.inputs
+            _shared_gradients_of()(weights, by_weights, inputs, self._samples, rows, loss, figures)
+        outputs = len(actor.output.bias)
+        for name, by in zip(("weight", "bias"), by_heads, strict=True):
+            gradients[getattr(actor.output, name)].copy_(by[:outputs])
+            gradients[getattr(critic, name)].copy_(by[outputs:])
+        return figures
+
+
+def _with_heads(layers: Layers, heads: Sequence[Tensor]) -> Layers:
+    """Return layers whose last has these weights and biases."""
+    weights, bias = (head.detach().numpy() for head in heads)
+    return layers._replace(third=weights, bias3=bias)

@@ -6,9 +6,11 @@ They are those that autograd finds for ``PQN.autograd``. The networks are those 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from pearl_marl.base.arrays import Array
@@ -25,6 +27,7 @@ from pearl_marl.policies.dense import (
     store_gradients,
     tile_of,
 )
+from pearl_marl.policies.network import Pictures, takes_planes
 from pearl_marl.training.action_values import ActionValues
 from pearl_marl.training.halves import Halves
 from pearl_marl.training.rollout import RolloutBuffer
@@ -73,18 +76,26 @@ class PQNGradients:
     def __init__(self, model: ActionValues, rollout: RolloutBuffer) -> None:
         network: Any = model.policy.network
         inputs = rollout.inputs
-        self._layers = network.layers()
-        self._inputs = network.observed(inputs.obs, inputs.position)
+        self._network, self._pictures = network, None
+        if takes_planes(network):
+            self._pictures = Pictures(network, inputs.obs, inputs.position)
+            self._inputs = self._pictures.inputs
+        else:
+            self._inputs = network.observed(inputs.obs, inputs.position)
         self._actions = rollout.actions.contiguous().numpy()
         self._returns = rollout.returns.contiguous().numpy()
-        self._halves = Halves(model, network.hidden.in_features, network.layers)
+        self._halves = Halves(model, network.hidden.in_features, lambda tensors: tensors)
 
     def __call__(self, rows: Tensor) -> Tensor:
         """Find the gradients of some rows."""
         share = 1 / len(rows)
 
-        def half(some: Array, gradients: Layers) -> Array:
-            samples = self._inputs, self._actions, self._returns
-            return np.array([_gradients_of()(self._layers, gradients, *samples, some, share)])
+        def half(some: Array, gradients: Mapping[Tensor, Tensor]) -> Array:
+            layers, samples = self._network.layers, (self._inputs, self._actions, self._returns, some, share)
+            if self._pictures is None:
+                return np.array([_gradients_of()(layers(), layers(gradients), *samples)])
+            with self._pictures.first_layer(torch.from_numpy(some), gradients) as (made, by_made):
+                weights, by_weights = layers(made=made), layers(gradients, by_made)
+                return np.array([_gradients_of()(weights, by_weights, *samples)])
 
         return self._halves.find(rows.numpy(), half)

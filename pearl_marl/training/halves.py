@@ -35,7 +35,7 @@ class Halves:
     """
 
     def __init__(
-        self, model: nn.Module, width: int, weights: Callable[[Mapping[Tensor, Tensor] | None], Any]
+        self, model: nn.Module, width: int, weights: Callable[[Mapping[Tensor, Tensor]], Any]
     ) -> None:
         parameters: Any = list(model.parameters())
         self._width = width
@@ -44,7 +44,7 @@ class Halves:
         self._gradients = [
             weights(dict(zip(parameters, tensors, strict=True))) for tensors in (self._first, self._second)
         ]
-        self._helper = ThreadPoolExecutor(1)
+        self._helper = ThreadPoolExecutor(1, initializer=torch.set_num_threads, initargs=(1,))
 
     def find(self, rows: Array, half: Callable[[Array, Any], npt.NDArray[np.float64]]) -> Tensor:
         """Call ``half`` with rows and where it writes their gradients; return the sum of what it returns."""

@@ -16,7 +16,9 @@ from pearl_marl.training.run import settings_for
 
 
 @pytest.mark.parametrize("in_halves", [False, True])
-@pytest.mark.parametrize("env_id", ["CartPole", "FrozenLake", "LevelBasedForaging"])
+@pytest.mark.parametrize(
+    "env_id", ["CartPole", "FrozenLake", "LevelBasedForaging", "Seaquest", "ConnectFour"]
+)
 def test_gradients_are_those_of_pytorch(
     env_id: str, in_halves: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -29,14 +31,16 @@ def test_gradients_are_those_of_pytorch(
     with torch.no_grad():
         for parameter in trainer.model.parameters():
             parameter += 0.1 * torch.randn(parameter.shape)
-    rows = torch.randperm(256)[:200]
+    rows = samples.loss_mask.nonzero()[:, 0]
+    rows = rows[torch.randperm(len(rows))[:200]]
     monkeypatch.setattr(halves, "SECOND_THREAD", 1 if in_halves else 1 << 30)
     compiled: Any = trainer.gradients(samples)
     assert not isinstance(compiled, partial)
     results = []
     for dense in (True, False):
-        monkeypatch.setattr(network, "is_dense", lambda _, dense=dense: dense)
-        monkeypatch.setattr(pqn, "is_dense", lambda _, dense=dense: dense)
+        if not dense:
+            for module, name in ((network, "is_dense"), (pqn, "is_dense"), (pqn, "takes_planes")):
+                monkeypatch.setattr(module, name, lambda _: False)
         loss = trainer.gradients(samples)(rows)
         results.append((loss.float(), [parameter.grad.clone() for parameter in trainer.model.parameters()]))
     torch.testing.assert_close(*results, rtol=1e-4, atol=2e-5)
