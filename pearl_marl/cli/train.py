@@ -19,7 +19,7 @@ from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError
 
 ALGORITHMS = ("ppo", "pqn", "dqn", "q-learning", "ippo", "mappo", "iql", "vdn", "qmix", "self-play")
-REMEMBERING = ("ppo", "ippo", "mappo", "pqn", "vdn", "qmix")
+REMEMBERING = ("ppo", "ippo", "mappo", "pqn", "vdn", "qmix", "self-play")
 """Those that learn policies with memory."""
 
 Algorithm = Annotated[
@@ -43,7 +43,7 @@ Memory = Annotated[
     str | None,
     typer.Option(
         "--memory",
-        help="Memory of the policy: `none` or `gru`; `ppo`, `mappo`, `pqn`, `vdn` and `qmix`.",
+        help="Memory of the policy: `none` or `gru`; not with `dqn`, `iql` and `q-learning`.",
         show_default="none",
     ),
 ]

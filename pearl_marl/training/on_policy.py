@@ -33,6 +33,9 @@ class OnPolicyTrainer(Trainer):
     gathers: type[RolloutWorker] = RolloutWorker
     """The class that gathers rollouts in this process."""
 
+    remembering: type[RecurrentWorker] = RecurrentWorker
+    """The class that does so with policies that remember."""
+
     losses: tuple[str, ...]
     """The names of what :meth:`gradients` returns."""
 
@@ -56,7 +59,7 @@ class OnPolicyTrainer(Trainer):
         )
         self.worker: Any
         if shards is None:
-            gathers = RecurrentWorker if self.model.policy.remembers else self.gathers
+            gathers = self.remembering if self.model.policy.remembers else self.gathers
             self.worker = gathers(spec, device, settings, self.model)
             agents = self.worker.agents
         else:

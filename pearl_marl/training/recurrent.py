@@ -47,14 +47,14 @@ class RecurrentWorker(RolloutWorker):
         self._empty()
         if t % self.settings.chunk_length == 0:
             self._starts.append(self.memory)
-        outputs, values, self.memory = self._step(inputs, self.memory)
+        outputs, values, self.memory = self.stepped(inputs, self.memory)
         self._expects.append(values)
         return outputs
 
     def expected(self, inputs: Inputs, decides: Tensor) -> Tensor:
         """Return what the critic expected before each step, and now."""
         self._empty()
-        _, values, _ = self._step(inputs.pick(-1), self.memory)
+        _, values, _ = self.stepped(inputs.pick(-1), self.memory)
         return torch.stack([*self._expects, values]) * decides
 
     def expected_at_ends(self, inputs: Inputs, cut: Tensor) -> Tensor:
@@ -76,16 +76,21 @@ class RecurrentWorker(RolloutWorker):
         self._ends.append(self.memory[begins])
         self.memory = self.memory.masked_fill(begins[:, None], 0)
 
-    def _step(self, inputs: Inputs, memory: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def stepped(self, inputs: Inputs, memory: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return outputs, values and the memories after a step of all agents, block by block."""
         parts = [self._unrolled(inputs.pick(block), memory[block]) for block in self.blocks]
         outputs, values, after = (torch.cat(part) for part in zip(*parts, strict=True))
         return outputs, values, after
 
     def _unrolled(self, inputs: Inputs, memory: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        one_step = Inputs(*(None if tensor is None else tensor[None] for tensor in inputs))  # type: ignore[arg-type]
-        outputs, values, (after,) = self.model.unrolled(one_step._replace(memory=memory[None]))
+        outputs, values, (after,) = self.model.unrolled(one_step(inputs, memory))
         return outputs, values, after
+
+
+def one_step(inputs: Inputs, memory: Tensor) -> Inputs:
+    """Return what agents are given in one step, and remember before it, with an axis for steps."""
+    steps = Inputs(*(None if tensor is None else tensor[None] for tensor in inputs))  # type: ignore[arg-type]
+    return steps._replace(memory=memory[None])
 
 
 def chunked(rollout: RolloutBuffer, length: int) -> RolloutBuffer:

@@ -507,8 +507,9 @@ OTHERS: dict[tuple[str, str], dict[str, dict[str, Any]]] = {
     ("self-play", "ConnectFour"): {
         "no model": {"model": lambda model: {}},
         "no league": {"league": lambda league: {}},
-        "a path for a number": {"league": lambda league: {"../x": league[0]}},
-        "a member to come": {"league": lambda league: {99: league[0]}},
+        "a path for a number": {"league": lambda league: {**league, "../x": league[0]}},
+        "a member to come": {"league": lambda league: {**league, 99: league[0]}},
+        "no first member": {"league": lambda league: {2: league[0]}},
         "another member": {"league": lambda league: {0: {}}},
     },
 }

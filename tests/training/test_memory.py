@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from pearl_marl.evaluation.matches import Match, cross_table
 from pearl_marl.evaluation.run import Evaluation
 from pearl_marl.policies import trained
 from pearl_marl.policies.loading import load_policy, random_policy
-from pearl_marl.policies.memory import Memory, Recall
+from pearl_marl.policies.memory import Memory, Recall, acting
 from pearl_marl.policies.quantizing import quantized
 from pearl_marl.training.recurrent import chunked
 from pearl_marl.training.run import ALGORITHMS, SETTINGS, evaluate, settings_for
@@ -28,6 +29,8 @@ from ..toy_memory import POSITIONS
 from ..toy_world import MEADOW, NIM
 
 pytestmark = pytest.mark.usefixtures("toys")
+
+Pearl = Callable[..., tuple[int, str, str]]
 
 LEA = dataclasses.replace(MEADOW, name="Lea", roles=(), golden=MEADOW.golden._replace(masks=None))
 """Where agents that have ended before their world are stepped, and no masks tell."""
@@ -107,13 +110,13 @@ def test_chunks_remember_what_the_rollout_did(algorithm: str, spec: EnvSpec) -> 
     """Episodes end within them, agents end before their world, and they take turns."""
     trainer = small(algorithm, spec)
     trainer.worker.gather(0)
-    step, due = trainer.worker._step, []
+    step, due = trainer.worker.stepped, []
 
     def noted(*given: Any) -> Any:
         due.append(step(*given))
         return due[-1]
 
-    trainer.worker._step = noted
+    trainer.worker.stepped = noted
     rollout = trainer.worker.gather(1)
     assert rollout.ended.any() or spec.name == "Seaquest"
     chunks = chunked(rollout, 6)
@@ -165,15 +168,19 @@ def test_gradients_go_back_through_a_chunk_and_no_further() -> None:
     assert not inputs.memory.requires_grad
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "pqn"])
-def test_a_run_goes_on_to_equal_weights(algorithm: str) -> None:
-    whole, stopped = small(algorithm, POSITIONS), small(algorithm, POSITIONS)
-    for _ in range(3):
+@pytest.mark.parametrize(
+    ("algorithm", "spec", "given"),
+    [("ppo", POSITIONS, {}), ("pqn", POSITIONS, {}), ("self-play", NIM, {"join_every": 1, "opponents": 2})],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_a_run_goes_on_to_equal_weights(algorithm: str, spec: EnvSpec, given: dict[str, Any]) -> None:
+    whole, stopped, again = (small(algorithm, spec, **given) for _ in range(3))
+    for _ in range(5):
         whole.iterate()
-    stopped.iterate()
-    again = small(algorithm, POSITIONS)
-    again.load(stopped.state())
     for _ in range(2):
+        stopped.iterate()
+    again.load(stopped.state())
+    for _ in range(3):
         again.iterate()
     for name, tensor in whole.policy.state_dict().items():
         assert torch.equal(again.policy.state_dict()[name], tensor), name
@@ -182,6 +189,90 @@ def test_a_run_goes_on_to_equal_weights(algorithm: str) -> None:
     state["memory"] = state["memory"] + 2
     with pytest.raises(ArgumentError, match="memory of agents has numbers that no training leaves"):
         again.load(state)
+
+
+def among_members(spec: EnvSpec) -> Any:
+    """Return a run of self-play against members that have nothing to do with each other."""
+    trainer = small("self-play", spec, n_agents=64, mirrored=0.25, opponents=3, random_moves=0.3)
+    for done in range(3):
+        let_join(trainer.league, done)
+    return trainer
+
+
+def let_join(league: Any, done: int) -> None:
+    torch.manual_seed(done)
+    league.members[done] = trained.NetworkPolicy(league.policy.spec, "logits", 16, memory="gru").state_dict()
+    league.members[done]["network.output.weight"] *= 100
+
+
+@pytest.mark.parametrize("spec", [MEADOW, LEA, NIM], ids=lambda spec: spec.name)
+def test_players_of_a_league_remember_what_they_have_seen_themselves(spec: EnvSpec) -> None:
+    """Until another one takes their agents over. The learner goes on, and chunks begin with what it knew."""
+    trainer = among_members(spec)
+    worker, league = trainer.worker, trainer.league
+    stepped, taken_over = worker.stepped, {False: 0, True: 0}
+    met = [-1, *league.met(2)]
+    worker.gather(2)
+    for rollout in range(3, 8):
+        let_join(league, rollout)
+        before, noted = worker.memory.clone(), []
+
+        def watched(*given: Any, noted: list[Any] = noted) -> Any:
+            noted.append(stepped(*given))
+            return noted[-1]
+
+        worker.stepped = watched
+        e = worker.gather(rollout)
+        outputs, values = (torch.stack([made[k] for made in noted[:24]]) for k in range(2))
+        met, last = [-1, *league.met(rollout)], met
+        for player, (done, previous) in enumerate(zip(met, last, strict=True)):
+            theirs = league.players == player
+            start = before[theirs] * (done == previous)
+            inputs = e.inputs._replace(memory=None).pick((slice(None), theirs))
+            if player:
+                taken_over[done != previous] += 1
+                recall = Recall(start[:, :16], inputs.begins, acting(inputs.masks))
+                flat = inputs.flat()
+                due, _ = league.member(done).unrolled(flat.obs, flat.masks, flat.position, recall)
+            else:
+                assert start.any()
+                begun = start.masked_fill(inputs.begins[0][:, None], 0)
+                assert torch.equal(e.inputs.memory[0][theirs], begun)
+                with torch.no_grad():
+                    due, expected, _ = trainer.model.unrolled(inputs._replace(memory=start[None]))
+                torch.testing.assert_close(values[:, theirs].flatten(), expected)
+            torch.testing.assert_close(outputs[:, theirs].flatten(0, 1), due)
+    assert all(taken_over.values())
+
+
+def test_chunks_of_self_play_remember_what_the_learner_did() -> None:
+    """Also in steps whose move was random."""
+    trainer = among_members(NIM)
+    for rollout in range(2):
+        e = trainer.worker.gather(rollout)
+    mine = (trainer.league.players == 0).repeat(4)
+    chunks = chunked(e, 6)
+    with torch.no_grad():
+        outputs, _, _ = trainer.model.unrolled(chunks.inputs)
+    found = trainer.model.log_probs(outputs.reshape(6, 4 * 64, -1), chunks.actions)
+    assert chunks.loss_mask[:, mine].any()
+    assert not chunks.loss_mask[:, ~mine].any()
+    torch.testing.assert_close(found[chunks.loss_mask], chunks.log_probs[chunks.loss_mask])
+
+
+def test_self_play_with_memory_by_the_command_line(pearl: Pearl, tmp_path: Path) -> None:
+    out = str(tmp_path / "kuhn")
+    small = ["--n-agents", "16", "--iterations", "4", "--set", "join_every=2", "--set", "width=8"]
+    code, _, err = pearl("train", "KuhnPoker", "--algo", "self-play", "--memory", "gru", *small, "--out", out)
+    assert code == 0, err
+    first = f"{out}/past/000000.safetensors"
+    assert trained.load(Path(first)).remembers
+    for command in (
+        ("eval", "KuhnPoker", "--policy", out, "--n-agents", "20"),
+        ("match", "KuhnPoker", out, first, "random", "--openings", "0", "--n-agents", "20"),
+    ):
+        code, _, err = pearl(*command)
+        assert code == 0, err
 
 
 def test_a_policys_file_remembers(tmp_path: Path) -> None:
@@ -242,8 +333,6 @@ def test_what_cannot_remember_is_refused(tmp_path: Path) -> None:
         small("ppo", POSITIONS, chunk_length=7)
     with pytest.raises(ArgumentError, match="agents with memory share a network"):
         small("ppo", MEADOW, sharing="none")
-    with pytest.raises(ArgumentError, match="self-play learns no policies with memory"):
-        small("self-play", NIM)
     about = trainer.policy.about
     about["memory"] = "lstm"
     trainer.policy.save(tmp_path / "policy.safetensors")

@@ -300,23 +300,23 @@ def test_members_of_the_league_act_and_are_not_learned_from() -> None:
     }
     trainer = trainer_of("self-play", "ConnectFour", **given)
     worker = trainer.worker
-    players = worker.players.reshape(-1, 2)
+    players = worker.league.players.reshape(-1, 2)
     assert (players[:8] == 0).all(), "a quarter of the worlds"
     rivals = players[8:]
     assert ((rivals == 0).sum(1) == 1).all(), "one seat of each other world is the learner's"
     assert (rivals == 0).sum(0).tolist() == [12, 12], "each seat as often"
     assert sorted(set(rivals[rivals != 0].tolist())) == [1, 2, 3]
     # A member that has made up its mind: the third column, while it has room.
-    member = trainer.league[0]
+    member = trainer.league.members[0]
     member["network.output.weight"].zero_()
     member["network.output.bias"].copy_(torch.tensor([0.0, 0, 1e4, 0, 0, 0, 0]))
     e = worker.gather(0)
-    theirs = (worker.players != 0).expand_as(e.loss_mask) & (e.inputs.masks != 0).any(2)
+    theirs = (worker.league.players != 0).expand_as(e.loss_mask) & (e.inputs.masks != 0).any(2)
     room = theirs & (e.inputs.masks[..., 2] == 1)
     assert room.any()
     assert (e.actions[room] == 2).all()
     assert not e.loss_mask[theirs].any()
-    mine = (worker.players == 0).expand_as(e.loss_mask) & (e.inputs.masks != 0).any(2)
+    mine = (worker.league.players == 0).expand_as(e.loss_mask) & (e.inputs.masks != 0).any(2)
     assert len(e.actions[mine].unique()) == 7
     assert e.loss_mask[:-2][mine[:-2]].all()
 
@@ -337,7 +337,7 @@ def test_random_moves_are_not_learned_from() -> None:
         trainer.policy.network.output.bias[3] = 1e4
     e = trainer.worker.gather(0)
     decides = (e.inputs.masks != 0).any(2)
-    random = trainer.worker.random_moves & decides
+    random = trainer.league.random_moves & decides
     assert 0.4 < random[decides].float().mean() < 0.6
     assert not e.loss_mask[random].any()
     assert e.loss_mask[:-2][decides[:-2] & ~random[:-2]].all()

@@ -268,6 +268,11 @@ KILLED: dict[str, tuple[str, str, dict[str, Any]]] = {
     **{algorithm: (algorithm, "FrozenLake", given) for algorithm, given in SMALL.items()},
     **{algorithm: (algorithm, *case) for algorithm, case in OF_WORLDS.items()},
     "memory": ("ppo", "FrozenLake", {**SMALL["ppo"], "memory": "gru", "chunk_length": 4}),
+    "a league's memories": (
+        "self-play",
+        "ConnectFour",
+        {**SMALL["ppo"], "join_every": 2, "memory": "gru", "chunk_length": 4},
+    ),
 }
 
 
