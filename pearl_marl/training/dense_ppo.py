@@ -279,8 +279,8 @@ class PPOGradients:
             *(part.contiguous().numpy() for part in (rollout.log_probs, rollout.advantages, rollout.returns)),
         )
         self._advantages = samples.advantages
-        kind = _Shared if model.shared else _Separate
-        self._part: _Shared | _Separate = kind(model, rollout, samples)
+        kind = _SharedLayers if model.shared else _SeparateLayers
+        self._part: _SharedLayers | _SeparateLayers = kind(model, rollout, samples)
         self._halves = Halves(model, model.policy.about["width"], self._part.gradients)
 
     def __call__(self, rows: Tensor) -> Tensor:
@@ -290,7 +290,7 @@ class PPOGradients:
         return self._halves.find(numbers, partial(self._part, loss))
 
 
-class _Separate:
+class _SeparateLayers:
     """Finds those of a part of a minibatch, where actor and critic share nothing."""
 
     def __init__(self, model: ActorCritic, rollout: RolloutBuffer, samples: Samples) -> None:
@@ -319,7 +319,7 @@ class _Separate:
         return figures
 
 
-class _Shared:
+class _SharedLayers:
     """Finds those of a part of a minibatch of pictures, where both share all layers but the last."""
 
     def __init__(self, model: ActorCritic, rollout: RolloutBuffer, samples: Samples) -> None:

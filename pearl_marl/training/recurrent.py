@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from pearl_marl.training.actor_critic import Inputs
-from pearl_marl.training.rollout import RolloutBuffer, RolloutWorker
+from pearl_marl.training.rollout import RolloutBuffer, RolloutSteps, RolloutWorker
 
 
 class RecurrentWorker(RolloutWorker):
@@ -30,7 +30,6 @@ class RecurrentWorker(RolloutWorker):
         self._starts: list[Tensor] = []
         self._begins: list[Tensor] = []
         self._ends: list[Tensor] = []
-        self._expects: list[Tensor] = []
 
     def gather(self, rollout: int) -> RolloutBuffer:
         """Step all agents ``rollout_length`` times; return the rollout of that number, with memories."""
@@ -39,7 +38,7 @@ class RecurrentWorker(RolloutWorker):
             memories = {"memory": torch.stack(self._starts), "begins": torch.stack(self._begins[:-1])}
             return gathered._replace(inputs=gathered.inputs._replace(**memories))
         finally:
-            for noted in (self._starts, self._begins, self._ends, self._expects):
+            for noted in (self._starts, self._begins, self._ends, self.expects):
                 noted.clear()
 
     def decide(self, inputs: Inputs, t: int) -> Tensor:
@@ -48,14 +47,14 @@ class RecurrentWorker(RolloutWorker):
         if t % self.settings.chunk_length == 0:
             self._starts.append(self.memory)
         outputs, values, self.memory = self.stepped(inputs, self.memory)
-        self._expects.append(values)
+        self.expects.append(values)
         return outputs
 
-    def expected(self, inputs: Inputs, decides: Tensor) -> Tensor:
+    def expected(self, steps: RolloutSteps) -> Tensor:
         """Return what the critic expected before each step, and now."""
         self._empty()
-        _, values, _ = self.stepped(inputs.pick(-1), self.memory)
-        return torch.stack([*self._expects, values]) * decides
+        _, values, _ = self.stepped(steps.inputs.pick(-1), self.memory)
+        return torch.stack([*self.expects, values]) * steps.acting
 
     def expected_at_ends(self, inputs: Inputs, cut: Tensor) -> Tensor:
         """Return what the critic expects of where time limits cut episodes off."""

@@ -73,6 +73,7 @@ class RolloutSteps(NamedTuple):
     truncations: Tensor
     acting: Tensor  # which agents decide; with a row more
     alive: Tensor  # which take part; with a row more
+    values: Tensor | None  # what the critic expects where agents decide, if that was found with the outputs
 
 
 class RolloutWorker:
@@ -98,14 +99,16 @@ class RolloutWorker:
         n = edges[-1] - edges[0]
         self.agents = Agents(spec, device, n, settings.seed, edges[0], model.central)
         self.where = self.agents.obs.device
+        self.expects: list[Tensor] = []  # what the critic expects of each step so far
 
     @torch.no_grad()
     def gather(self, rollout: int) -> RolloutBuffer:
         """Step all agents ``rollout_length`` times; return the rollout of that number."""
         settings, model, steps = self.settings, self.model, self.settings.rollout_length
+        self.expects.clear()
         noise, network = self._noise(rollout), self.network_beside()
         done = self._one_by_one(noise) if network is None else self._at_once(network, noise)
-        inputs, final_obs, outputs, chosen, rewards, terminations, truncations, decides, alive = done
+        inputs, final_obs, outputs, chosen, rewards, terminations, truncations, decides, alive, _ = done
         log_probs = model.log_probs(outputs, chosen)
         ended = over = terminations | truncations
         wanted = team_rewards(rewards, self.spec.agents, settings.rewards) * settings.reward_scale
@@ -113,7 +116,7 @@ class RolloutWorker:
             left = ended | ~alive[:-1]
             worlds = left.reshape(steps, -1, self.spec.agents).all(2)
             over = worlds.repeat_interleave(self.spec.agents, 1)
-        values = self._mixed(self.expected(inputs, decides), inputs.state)
+        values = self._mixed(self.expected(done), inputs.state)
         cut = truncations & ~terminations
         # Only the time limit ended these episodes: what was to come counts. The device tells neither the
         # state that a central critic would be given then, nor the agent that would have been on turn, nor
@@ -147,17 +150,18 @@ class RolloutWorker:
         position, alive = self.agents.position, torch.from_numpy(made.in_episode)
         if position is not None:
             position = position.expand(len(alive), -1)
-        words = torch.from_numpy(made.words)
+        words, outputs = torch.from_numpy(made.words), torch.from_numpy(made.outputs)
         return RolloutSteps(
             inputs=Inputs(torch.from_numpy(made.observations), masks, position),
             final_obs=torch.from_numpy(made.final_observations),
-            outputs=torch.from_numpy(made.outputs),
+            outputs=outputs,
             actions=words if self.model.policy.heads else words[..., 0],
             rewards=torch.from_numpy(made.rewards),
             terminations=torch.from_numpy(made.terminations),
             truncations=torch.from_numpy(made.truncations),
             acting=acting(alive, masks),
             alive=alive,
+            values=outputs.amax(-1) if self.model.of_best else None,
         )
 
     def _one_by_one(self, noise: Tensor) -> RolloutSteps:
@@ -192,6 +196,7 @@ class RolloutWorker:
             truncations,
             torch.stack(decides),
             torch.stack(alive),
+            torch.stack(self.expects) if self.expects else None,
         )
 
     def acting(self) -> Tensor:
@@ -203,16 +208,25 @@ class RolloutWorker:
         return torch.zeros((), dtype=torch.bool, device=self.where)
 
     def decide(self, inputs: Inputs, _: int) -> Tensor:
-        """Return the policy's outputs for the rollout's step of that number."""
-        outputs: Tensor
-        if not self.spec.turns:
-            if len(self.blocks) > 1:
-                return torch.cat([self.model.outputs(inputs.pick(block)) for block in self.blocks])
-            outputs = self.model.outputs(inputs)
-            return outputs
-        rows = self.agents.acting.nonzero()[:, 0]  # the others are asked nothing
-        outputs = torch.full((len(inputs.obs), self.model.policy.outputs), MASKED, device=self.where)
-        outputs[rows] = self.model.outputs(inputs.pick(rows))
+        """Return the policy's outputs for the rollout's step of that number.
+
+        Note what the critic expects, if the same layers find it.
+        """
+        n, model = len(inputs.obs), self.model
+        if self.spec.turns:
+            asked = [self.agents.acting.nonzero()[:, 0]]  # the others are asked nothing
+        else:
+            asked = [torch.arange(block.start, block.stop, device=self.where) for block in self.blocks]
+        outputs = torch.full((n, model.policy.outputs), MASKED, device=self.where)
+        values = torch.zeros(n, device=self.where)
+        for rows in asked:
+            some = inputs if len(rows) == n else inputs.pick(rows)
+            if model.together:
+                outputs[rows], values[rows] = model(some)
+            else:
+                outputs[rows] = model.outputs(some)
+        if model.together:
+            self.expects.append(values)
         return outputs
 
     def _noise(self, rollout: int) -> Tensor:
@@ -226,9 +240,12 @@ class RolloutWorker:
             noise[:, block] = self.model.noise(shape, random, rollout / settings.iterations)
         return noise
 
-    def expected(self, inputs: Inputs, decides: Tensor) -> Tensor:
+    def expected(self, steps: RolloutSteps) -> Tensor:
         """Return what the critic expects where agents decide; a row more than the rollout has steps."""
-        return self._values(inputs, decides)
+        if steps.values is None:
+            return self._values(steps.inputs, steps.acting)
+        last = self._values(steps.inputs.pick(slice(-1, None)), steps.acting[-1:])
+        return torch.cat((steps.values.masked_fill(~steps.acting[:-1], 0), last))
 
     def expected_at_ends(self, inputs: Inputs, cut: Tensor) -> Tensor:
         """Return what the critic expects of where time limits cut episodes off."""
