@@ -273,31 +273,33 @@ def _biased(h: Array, bias: Array, rows: int) -> None:
 def _standardised(h: Array, width: int, high: int, rows: int, norm: Array, scale: Array) -> None:
     """Replace the first ``width`` of every ``high`` numbers by their layer norm; keep it, and its factors."""
     for row in range(rows):
-        start = row * high
+        # Loops over slices are done by vectors, as no index of theirs can be negative.
+        some, kept = h[row * high : row * high + width], norm[row * high : (row + 1) * high]
         mean = squares = _NONE
-        for i in range(start, start + width):
-            mean += h[i]
+        for i in range(width):
+            mean += some[i]
         mean /= np.float32(width)
-        for i in range(start, start + width):
-            squares += (h[i] - mean) * (h[i] - mean)
-        scale[row] = _ONE / np.sqrt(squares / np.float32(width) + _EPSILON)
-        for i in range(start, start + width):
-            norm[i] = h[i] = (h[i] - mean) * scale[row]
-        norm[start + width : start + high] = 0
+        for i in range(width):
+            squares += (some[i] - mean) * (some[i] - mean)
+        factor = _ONE / np.sqrt(squares / np.float32(width) + _EPSILON)
+        for i in range(width):
+            kept[i] = some[i] = (some[i] - mean) * factor
+        kept[width:] = 0
+        scale[row] = factor
 
 
 @_summed
 def _through_norm(by: Array, width: int, high: int, rows: int, norm: Array, scale: Array) -> None:
     """Turn gradients by layer norm's outputs into gradients by its inputs."""
     for row in range(rows):
-        start = row * high
+        some, kept = by[row * high : row * high + width], norm[row * high : row * high + width]
         mean = along = _NONE
-        for i in range(start, start + width):
-            mean += by[i]
-            along += by[i] * norm[i]
-        mean, along = mean / np.float32(width), along / np.float32(width)
-        for i in range(start, start + width):
-            by[i] = (by[i] - mean - norm[i] * along) * scale[row]
+        for i in range(width):
+            mean += some[i]
+            along += some[i] * kept[i]
+        mean, along, factor = mean / np.float32(width), along / np.float32(width), scale[row]
+        for i in range(width):
+            some[i] = (some[i] - mean - kept[i] * along) * factor
 
 
 @called

@@ -41,10 +41,6 @@ class OnPolicyTrainer(Trainer):
 
     max_grad_norm: float
 
-    divisible = True
-    """Whether the loss of a minibatch is the mean of that of its rows; with a memory it never is, since not
-    all steps of a chunk are learned from."""
-
     def __init__(self, spec: EnvSpec, device: Any, settings: Any, shards: int | None = None) -> None:
         torch.manual_seed(settings.seed)
         self.model = self.made(spec, settings)
@@ -69,7 +65,8 @@ class OnPolicyTrainer(Trainer):
         self.model.to(self.where)
         self.policy = self.model.policy
         self.optimiser = Adam(self.model.parameters(), epsilon=1e-5, max_grad_norm=self.max_grad_norm)
-        divisible = self.divisible and not self.policy.remembers
+        # With a memory, not all steps of a chunk are learned from, so that a loss is no mean of its halves'.
+        divisible = not self.policy.remembers
         self.halves = AutogradHalves(self.optimiser.parameters, settings.width, divisible)
         self.components = {"model": self.model, "optimiser": self.optimiser}
         self.last_losses = torch.zeros(len(self.losses), device=self.where)

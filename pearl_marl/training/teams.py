@@ -40,8 +40,6 @@ class QMIXSettings(VDNSettings):
 class VDN(PQN):
     """A run of VDN: the value of a team is the sum of its agents'."""
 
-    divisible = False  # teams of which nobody acts are left out
-
     def __init__(self, spec: EnvSpec, device: Any, settings: VDNSettings) -> None:
         if spec.agents < 2:
             raise ArgumentError(f"{spec.name} has one agent in a world, and a team has several: use pqn")
@@ -77,7 +75,9 @@ class VDN(PQN):
             acting = batch.loss_mask.view(-1, len(self.team))
             chosen = outputs.gather(1, batch.actions[:, None]).view_as(acting).masked_fill(~acting, 0)
             values = mixer(chosen, None if state is None else state[:: len(self.team)])
-            errors = (values - batch.returns.view_as(acting)[:, 0])[acting.any(1)]
+            errors = values - batch.returns.view_as(acting)[:, 0]
+            if self.policy.remembers:  # of other teams, somebody acts: see learn()
+                errors = errors[acting.any(1)]
             mean = 0.5 * errors.square().mean()
             return mean, mean[None]
 
