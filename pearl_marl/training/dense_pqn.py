@@ -1,6 +1,6 @@
-"""The gradients of PQN's loss, compiled: by all weights of a small network, in one pass over a minibatch.
+"""The gradients of PQN's and VDN's loss, compiled: by all weights, in one pass over a minibatch.
 
-They are those that autograd finds for ``PQN.autograd``. The networks are those of
+They are those that autograd finds for ``PQN.autograd`` and ``VDN.autograd``. The networks are those of
 :mod:`pearl_marl.policies.dense`.
 """
 
@@ -39,24 +39,31 @@ def _gradients(
     inputs: NetworkInputs,
     actions: Array,
     returns: Array,
+    acting: Array,
+    team: int,
     rows: Array,
     share: float,
 ) -> float:
-    """Compute the gradients of the squared errors of some rows; return their loss.
+    """Compute the gradients of the squared errors of some teams, of ``team`` rows each; return their loss.
 
-    ``share`` is that of a row in the loss.
+    A team's value is the sum of those of its agents that are ``acting``. ``share`` is that of a team in the
+    loss.
     """
     n, weights, tile, total = len(rows), padded(layers), tile_of(layers), gradient_sums(gradients)
-    out, loss = len(weights.bias3), 0.0
-    for first in range(0, n, ROWS):
-        some = rows[first : first + ROWS]
+    out, loss, step = len(weights.bias3), 0.0, ROWS // team * team
+    for first in range(0, n, step):
+        some = rows[first : first + step]
         forward_rows(layers, weights, inputs, some, tile)
-        for s in range(len(some)):
-            row, start = some[s], s * out
-            error = tile.outputs[start + actions[row]] - returns[row]
+        for start in range(0, len(some), team):
+            error = -returns[some[start]]
+            for s in range(start, start + team):
+                if acting[some[s]]:
+                    error += tile.outputs[s * out + actions[some[s]]]
             loss += 0.5 * error * error
-            tile.outputs[start : start + out] = 0
-            tile.outputs[start + actions[row]] = error * share
+            for s in range(start, start + team):
+                tile.outputs[s * out : (s + 1) * out] = 0
+                if acting[some[s]]:
+                    tile.outputs[s * out + actions[some[s]]] = error * share
         tile.outputs[len(some) * out :] = 0
         backward_rows(layers, weights, inputs, some, tile, total, gradients)
     store_gradients(total, gradients)
@@ -66,14 +73,19 @@ def _gradients(
 _gradients_of = compiled_loop(_gradients, dense, fused=True)
 
 
+def sums_teams(team: int) -> bool:
+    """Return whether these loops can learn the values of teams of so many agents."""
+    return team <= ROWS
+
+
 class PQNGradients:
     """Finds gradients for minibatches of a rollout, whose steps and agents are one axis.
 
-    Called with the rows of a minibatch, it leaves the gradients with the model's parameters, and returns what
-    ``PQN.autograd`` returns.
+    Called with the rows of a minibatch, or the worlds of one with a ``team`` of agents each, it leaves the
+    gradients with the model's parameters, and returns what ``PQN.autograd`` or ``VDN.autograd`` returns.
     """
 
-    def __init__(self, model: ActionValues, rollout: RolloutBuffer) -> None:
+    def __init__(self, model: ActionValues, rollout: RolloutBuffer, team: int = 1) -> None:
         network: Any = model.policy.network
         inputs = rollout.inputs
         self._network, self._pictures = network, None
@@ -84,17 +96,19 @@ class PQNGradients:
             self._inputs = network.observed(inputs.obs, inputs.position)
         self._actions = rollout.actions.contiguous().numpy()
         self._returns = rollout.returns.contiguous().numpy()
-        self._halves = Halves(model, network.hidden.in_features, lambda tensors: tensors)
+        self._acting, self._team = rollout.loss_mask.contiguous().numpy(), np.arange(team)
+        self._halves = Halves(model, team * network.hidden.in_features, lambda tensors: tensors)
 
     def __call__(self, rows: Tensor) -> Tensor:
-        """Find the gradients of some rows."""
-        share = 1 / len(rows)
+        """Find the gradients of some rows, or worlds."""
+        share, team = 1 / len(rows), len(self._team)
 
         def half(some: Array, gradients: Mapping[Tensor, Tensor]) -> Array:
-            layers, samples = self._network.layers, (self._inputs, self._actions, self._returns, some, share)
+            layers, agents = self._network.layers, (some[:, None] * team + self._team).ravel()
+            samples = self._inputs, self._actions, self._returns, self._acting, team, agents, share
             if self._pictures is None:
                 return np.array([_gradients_of()(layers(), layers(gradients), *samples)])
-            with self._pictures.first_layer(torch.from_numpy(some), gradients) as (made, by_made):
+            with self._pictures.first_layer(torch.from_numpy(agents), gradients) as (made, by_made):
                 weights, by_weights = layers(made=made), layers(gradients, by_made)
                 return np.array([_gradients_of()(weights, by_weights, *samples)])
 
