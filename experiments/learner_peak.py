@@ -9,12 +9,16 @@ the trainings. All is of one thread.
 from __future__ import annotations
 
 import time
+from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
 from pearl_marl.envs import get_spec
 from pearl_marl.experiments.calling import call
+from pearl_marl.policies.convolution import FILTERS, SIDE
 from pearl_marl.policies.network import Encoder
 from pearl_marl.training.ppo import PPO
 from pearl_marl.training.rollout import RolloutBuffer
@@ -42,25 +46,40 @@ def main() -> None:
     print(f"\nPeak: {max(peaks) / 1e9:.1f} GFLOP/s, the most of {len(peaks)} times.")
 
 
-def multiplications(model: nn.Module, set_elements: float) -> tuple[int, int]:
+def multiplications(model: nn.Module, squares: tuple[float, float]) -> tuple[int, int]:
     """Return the multiplications of a sample by the weights of a model without memory: forward, and back.
 
     Back, each weight is multiplied twice: for its own gradient, and for that of what it was multiplied by,
-    which the first layer's input does not need. Tables are not multiplied by. Filters are, by the elements of
-    a picture that are not 0, of which there are ``set_elements``; back, what they made is made again.
+    which the first layer's input does not need. Tables are not multiplied by. Of pictures, only ``squares``
+    are, see :func:`squares_of`; back, what filters made of these is made again.
     """
     forward = back = 0
+    number, elements = squares
+    encoders = [module for module in model.modules() if isinstance(module, Encoder)]
+    of_pictures = [encoder for encoder in encoders if encoder.kind == "picture"]
+    for encoder in of_pictures:
+        made, summed = FILTERS * elements, FILTERS * number * encoder.linear.out_features
+        forward += round(made + summed)
+        back += round(2 * made + 2 * summed)
+    others = {id(encoder.linear) for encoder in of_pictures}
     for module in model.modules():
-        if isinstance(module, nn.Linear):
+        if isinstance(module, nn.Linear) and id(module) not in others:
             forward += module.weight.numel()
             back += 2 * module.weight.numel()
-        elif isinstance(module, nn.Conv2d):
-            made = round(module.weight[:, 0].numel() * set_elements)
-            forward += made
-            back += 2 * made
-        elif isinstance(module, Encoder) and module.kind == "vector":
-            back -= module.linear.weight.numel()
+    back -= sum(encoder.linear.weight.numel() for encoder in encoders if encoder.kind == "vector")
     return forward, back
+
+
+def squares_of(pictures: npt.NDArray[Any]) -> tuple[float, float]:
+    """Return how many squares of a picture are multiplied by weights, and how many elements of those are set.
+
+    These are the squares of 3 by 3 that are not empty, and differ from those of the same place of the other
+    ``pictures``, ``(n, rows, columns, channels)``, which are learned from together.
+    """
+    windows = np.lib.stride_tricks.sliding_window_view(pictures != 0, (SIDE, SIDE), axis=(1, 2))
+    places = windows.reshape(len(pictures), -1, windows[0, 0, 0].size).swapaxes(0, 1)
+    kinds = [np.unique(squares[squares.any(1)], axis=0) for squares in places]
+    return sum(map(len, kinds)) / len(pictures), sum(int(some.sum()) for some in kinds) / len(pictures)
 
 
 def measured(name: str) -> tuple[int, int, float, float, int]:
@@ -90,8 +109,11 @@ def measured(name: str) -> tuple[int, int, float, float, int]:
         rounds.append((learning, time.process_time() - began, samples))
     fastest = min(rounds, key=lambda figures: figures[0] / figures[2])
     encoder = trainer.model.actor.encoder
-    in_all = int(encoder.whole(kept).count_nonzero()) if encoder.kind == "picture" else 0
-    return *multiplications(trainer.model, in_all / len(kept)), *fastest
+    squares = 0.0, 0.0
+    if encoder.kind == "picture":  # a half of a minibatch is learned from together
+        some = torch.randperm(len(kept))[: trainer.settings.minibatch // 2]
+        squares = squares_of(encoder.whole(kept[some]).numpy())
+    return *multiplications(trainer.model, squares), *fastest
 
 
 def peak() -> float:
