@@ -11,7 +11,7 @@ from gymnasium.spaces import Box
 from torch import Tensor, nn
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.convolution import BLOCK, FILTERS, SIDE, PlanesLayer, are_planes
+from pearl_marl.policies.convolution import BLOCK, FILTERS, PANEL, SIDE, PlanesLayer, are_planes
 from pearl_marl.policies.network import Encoder
 
 WIDTH = 5
@@ -21,10 +21,10 @@ apply: Any = PlanesLayer.apply
 class Layers(nn.Module):
     """Both layers by PyTorch."""
 
-    def __init__(self, rows: int, columns: int, channels: int) -> None:
+    def __init__(self, rows: int, columns: int, channels: int, width: int = WIDTH) -> None:
         super().__init__()
         self.convolution = nn.Conv2d(channels, FILTERS, SIDE)
-        self.linear = nn.Linear(FILTERS * (rows - 2) * (columns - 2), WIDTH)
+        self.linear = nn.Linear(FILTERS * (rows - 2) * (columns - 2), width)
 
     def forward(self, planes: Tensor) -> Tensor:
         made = self.convolution(planes.permute(0, 3, 1, 2).float()).relu()
@@ -40,19 +40,56 @@ def planes(n: int, shape: tuple[int, ...], dtype: torch.dtype = torch.uint8, sha
 @pytest.mark.parametrize("dtype", [torch.bool, torch.uint8, torch.int8])
 @pytest.mark.parametrize("shape", [(10, 10, 10), (7, 7, 3), (5, 5, 2), (3, 4, 1), (3, 3, 7)])
 @pytest.mark.parametrize("n", [0, 1, BLOCK, BLOCK + 3])
-@pytest.mark.parametrize("share", [0.2, 1.0])
+@pytest.mark.parametrize("share", [0.02, 0.2, 1.0])
 def test_outputs_and_gradients_are_pytorchs(
     n: int, shape: tuple[int, ...], dtype: torch.dtype, share: float
 ) -> None:
+    compare(Layers(*shape), planes(n, shape, dtype, share))
+
+
+@pytest.mark.parametrize("width", [1, PANEL, PANEL + 6, 2 * PANEL])
+@pytest.mark.parametrize("channels", [21, 22, 50])
+def test_any_width_and_number_of_planes(width: int, channels: int) -> None:
+    """64 elements of a square's row are read at a time, and a panel of outputs is summed."""
+    shape = 5, 6, channels
+    compare(Layers(*shape, width), planes(40, shape, share=0.03))
+
+
+def compare(layers: Layers, obs: Tensor) -> None:
+    """Compare outputs and gradients, from weights of which about half of the filters' biases are above 0."""
     torch.manual_seed(0)
-    layers = Layers(*shape)
-    obs, scores = planes(n, shape, dtype, share), torch.randn(n, WIDTH)
-    parameters = list(layers.parameters())
+    n, parameters = len(obs), list(layers.parameters())
+    scores = torch.randn(n, layers.linear.out_features)
     found = []
     for outputs in (layers(obs), apply(obs, *parameters)):
         found.append((outputs, *torch.autograd.grad((outputs * scores).sum(), parameters)))
     for expected, ours in zip(*found, strict=True):
         torch.testing.assert_close(ours, expected, rtol=1e-4, atol=1e-4 * max(n, 1) ** 0.5)
+
+
+def test_squares_are_told_apart_and_equal_ones_are_found() -> None:
+    """Of all squares with at most two elements, each in two pictures that are not next to each other."""
+    layers = Layers(3, 3, 3)
+    single = torch.eye(27, dtype=torch.uint8)
+    pairs = [single[i] | single[j] for i in range(27) for j in range(i + 1)]
+    obs = torch.stack([torch.zeros_like(pairs[0]), *pairs]).repeat(2, 1).view(-1, 3, 3, 3)
+    compare(layers, obs)
+    outputs = apply(obs, *layers.parameters())
+    first, again = outputs.view(2, -1, WIDTH)
+    assert torch.equal(first, again)
+    assert len(torch.unique(first, dim=0)) == len(first)
+
+
+def test_threads_change_nothing() -> None:
+    layers, obs = Layers(6, 5, 4), planes(2 * BLOCK + 1, (6, 5, 4))
+    found, threads = [], torch.get_num_threads()
+    try:
+        for number in (1, 2):
+            torch.set_num_threads(number)
+            found.append(apply(obs, *layers.parameters()))
+    finally:
+        torch.set_num_threads(threads)
+    assert torch.equal(*found)
 
 
 def test_planes_need_not_lie_in_a_row() -> None:
