@@ -156,7 +156,7 @@ class Learner:
     Parameters
     ----------
     loss
-        The loss of parameters and a minibatch, which is what ``learned`` is given.
+        The loss of parameters and a minibatch, which is what ``learn`` is given.
     max_grad_norm
         The length that gradients are clipped to.
     """
@@ -176,12 +176,12 @@ class Learner:
         """Return the optimiser's first state."""
         return self._optimiser.init(params)
 
-    def learned(self, params: Any, opt_state: Any, samples: Any, key: Any) -> tuple[Any, Any, Any]:
+    def learn(self, params: Any, opt_state: Any, samples: Any, key: Any) -> tuple[Any, Any, Any]:
         """Return parameters and the optimiser's state after learning from a rollout, and the next key."""
         rows = jax.tree.map(lambda x: x.reshape(self._rows, *x.shape[2:]), samples)
         key, *shuffling = jax.random.split(key, self._epochs + 1)
-        learn = partial(self._epoch, rows=rows)
-        (params, opt_state), _ = jax.lax.scan(learn, (params, opt_state), jnp.stack(shuffling))
+        epoch = partial(self._epoch, rows=rows)
+        (params, opt_state), _ = jax.lax.scan(epoch, (params, opt_state), jnp.stack(shuffling))
         return params, opt_state, key
 
     def _epoch(self, carry: Any, key: Any, rows: Any) -> Any:

@@ -97,7 +97,7 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
         last = network(params, agents.inputs(statistics, obs)).max(1)
         # Lambda-returns are values of best actions plus these values' advantages by the same lambda.
         targets = steps.values + advantages(steps, last, settings)
-        params, opt_state, key = learner.learned(params, opt_state, (steps, targets), key)
+        params, opt_state, key = learner.learn(params, opt_state, (steps, targets), key)
         return LoopState(params, opt_state, statistics, states, obs, key, done + 1)
 
     first = partial(weights, shape=agents.shape, actions=agents.actions, width=s.width)

@@ -107,7 +107,7 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
         last = network(params, agents.inputs(statistics, obs))[1]
         gains = advantages(steps, last, settings)
         samples = steps, gains, gains + steps.values
-        params, opt_state, key = learner.learned(params, opt_state, samples, key)
+        params, opt_state, key = learner.learn(params, opt_state, samples, key)
         return LoopState(params, opt_state, statistics, states, obs, key, done + 1)
 
     first = partial(weights, shape=agents.shape, actions=agents.actions, width=s.width)
