@@ -105,6 +105,9 @@ TASKS = (
     TrainingTask("PQN CartPole", "pqn", "CartPole", 475.0, least=20),
     TrainingTask("PQN MountainCar", "pqn", "MountainCar", -115.0, least=10),
     TrainingTask("DQN CartPole", "dqn", "CartPole", 475.0, least=200, every=20),
+    TrainingTask(
+        "DQN Breakout", "dqn", "Breakout", 10.3, least=600, every=300, seconds=200.0, brief_seconds=0.0
+    ),
     TrainingTask("IPPO foraging", "ppo", "LevelBasedForaging", 0.49, least=12, every=4, options=COOP),
     TrainingTask("MAPPO foraging", "mappo", "LevelBasedForaging", 0.49, least=12, every=4, options=COOP),
     TrainingTask("VDN foraging", "vdn", "LevelBasedForaging", 0.49, least=12, every=4, options=COOP),

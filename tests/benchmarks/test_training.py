@@ -32,6 +32,7 @@ SINGLE = [
     if trainer.module is not None and task.name.startswith(trainer.tasks)
 ]
 ON_POLES = [(module, task) for module, task in SINGLE if task in POLES]
+DQN_TASKS = [task for task in TASKS if task.algorithm == "dqn"]
 TEAM_TASKS = [task for task in TASKS if task.name.startswith(TEAM_TRAINER.tasks)]
 EASY = TrainingTask("PPO CartPole", "ppo", "CartPole", 475.0, least=1)
 
@@ -162,8 +163,8 @@ def test_everybody_balances_the_pole(module: str, task: TrainingTask) -> None:
 
 
 @pytest.mark.parametrize("module", ["ours", "sb3"])
-def test_dqn(module: str) -> None:
-    (task,) = (task for task in TASKS if task.algorithm == "dqn")
+@pytest.mark.parametrize("task", DQN_TASKS, ids=lambda task: task.env_id)
+def test_dqn(module: str, task: TrainingTask) -> None:
     few = {"n_agents": 8, "memory": 20, "warm_up": 2, "minibatch": 16, "iterations": 40, "width": 8}
     noted = Watch(task._replace(goal=None, least=20, every=10))
     trainer(module).train(task, dataclasses.replace(task.settings(0), **few), noted)
@@ -283,7 +284,7 @@ def test_ratios_are_seed_by_seed() -> None:
 
 def test_long_trainings_have_their_goal_where_their_environment_is_named() -> None:
     named = {task.name: task for game in ("Seaquest", "Breakout") for task in training.tasks_of(game, False)}
-    assert list(named) == ["PPO Seaquest", "PQN Seaquest", "PPO Breakout", "PQN Breakout"]
+    assert list(named) == ["PPO Seaquest", "PQN Seaquest", "PPO Breakout", "PQN Breakout", "DQN Breakout"]
     assert named["PQN Seaquest"].goal == named["PPO Seaquest"].goal == 20.4
     among_all = {task.name: task for task in training.tasks_of(None, False)}
     brief = among_all["PQN Seaquest"]
