@@ -125,10 +125,12 @@ that evaluations end after 1,000 steps.
 
 IN_PYTHON = "stepped by MinAtar itself, in Python: EnvPool's games are Atari's, which are others"
 ENVPOOL_COUNTS = {
-    **dict.fromkeys(("Asterix", "Breakout", "Freeway", "Seaquest", "SpaceInvaders"), IN_PYTHON),
+    **dict.fromkeys(("Breakout", "Seaquest"), IN_PYTHON),
     "LevelBasedForaging": "Jumanji's rules: two foods, 100 steps",
 }
 """What EnvPool's form of an environment differs in from ours."""
+ENVPOOL_LACKS = ("Asterix", "Freeway", "SpaceInvaders")
+"""Games that EnvPool does not have, and that trainings with MinAtar's own would take most of an hour for."""
 
 
 class TrainerModule(NamedTuple):
@@ -147,6 +149,8 @@ class TrainerModule(NamedTuple):
             return self.problem
         if self.library is not None and self.library not in task.spec.peers:
             return f"{self.library} has no {task.env_id}"
+        if "envpool" in self.packages and task.env_id in ENVPOOL_LACKS:
+            return f"EnvPool has no {task.env_id} of MinAtar; MinAtar's own, in Python, is timed in Breakout"
         absent = [package for package in self.packages if importlib.util.find_spec(package) is None]
         if absent:
             return f"{', '.join(absent)} not installed: make bench-peers, or pip install '.[peers]'"
