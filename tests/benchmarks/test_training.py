@@ -141,7 +141,7 @@ def test_a_few_iterations(monkeypatch: pytest.MonkeyPatch, module: str, task: Tr
             seen.append(agent_steps)
             return super().__call__(agent_steps, choose)
 
-    made.train(task, settings, Looking(task._replace(goal=None, least=3)))
+    made.train(task, settings, Looking(task._replace(goal=None, least=3, every=1)))
     assert seen == [32, 64, 96]
 
 
