@@ -34,6 +34,16 @@ PRESET: dict[str, Any] = {
 }
 """Settings of PPO for pictures of ten by ten, and points that come one at a time."""
 
+PQN_PRESET: dict[str, Any] = {
+    "n_agents": 512,
+    "iterations": 120,
+    "minibatch": 256,
+    "learning_rate": 1e-3,
+    "exploration_fraction": 0.1,
+    "width": 128,
+}
+"""Settings of PQN for the same; small minibatches, since values take many updates to travel back."""
+
 
 def checked_options(sticky_action_prob: float, **flags: bool) -> dict[str, Any]:
     """Return the options of a game after a check of each: a probability, and whether the others hold."""
@@ -97,7 +107,7 @@ def spec_parts(
         "oracle": f"pearl_marl.envs.minatar_oracle:MinAtar/{name}-v1",
         "follows": f"MinAtar {name}-v1",
         "peers": {"gymnax": f"{name}-MinAtar", "pgx": f"minatar-{snake_case(name)}"},
-        "presets": {"ppo": PRESET},
+        "presets": {"ppo": PRESET, "pqn": PQN_PRESET},
         "pose": pose,
         "render_modes": ("human", "rgb_array"),
     }

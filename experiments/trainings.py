@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-from pearl_marl.benchmark.training import CLEANRL, OURS, PUREJAXRL, SB3, compared, jobs, run, tasks_of
+from pearl_marl.benchmark.training import (
+    BENCHMARL,
+    CLEANRL,
+    OURS,
+    PUREJAXQL,
+    PUREJAXRL,
+    SB3,
+    compared,
+    jobs,
+    run,
+    tasks_of,
+)
 
 from .section import Colour, Progress, Row, bars, having, legend, panels, row_of, select, tidy
 
@@ -25,6 +36,7 @@ COLUMNS = {
     "rate_ratio": "ours is so many times as fast",
     "rate_range": "least and most of the seeds",
     "seconds_to_goal": "s to the goal",
+    "agent_steps_to_goal": "agent-steps to the goal",
     "time_ratio": "ours is so many times sooner",
     "time_range": "least and most of them",
     "reached": "seeds that reached it",
@@ -32,7 +44,14 @@ COLUMNS = {
     "wall": "s of the process",
     "counts": "what is counted, or why there is nothing",
 }
-COLOURS = {OURS: Colour.GREEN, SB3: Colour.RED, CLEANRL: Colour.ORANGE, PUREJAXRL: Colour.BLUE}
+COLOURS = {
+    OURS: Colour.GREEN,
+    SB3: Colour.RED,
+    CLEANRL: Colour.ORANGE,
+    PUREJAXRL: Colour.BLUE,
+    PUREJAXQL: Colour.SKY,
+    BENCHMARL: Colour.PINK,
+}
 QUICK_ENV = "CartPole"
 """What a quick report trains, for a few iterations."""
 
@@ -43,9 +62,10 @@ def collect(quick: bool, progress: Progress) -> list[Row]:
     work = jobs(tasks, quick)
     runs = list(progress(run(work), len(work), "training"))
     rows = [_summary(row) for row in compared(runs)]
-    shown = ("task", "contender", "seed", "agent_steps_per_second", "seconds_to_goal", "agent_steps", "wall")
+    shown = ("task", "contender", "seed", "agent_steps_per_second")
+    counted = ("seconds_to_goal", "agent_steps_to_goal", "agent_steps", "wall")
     return rows + [
-        row_of("measured", row["what_counts"], what="run", **{key: row[key] for key in shown})
+        row_of("measured", row["what_counts"], what="run", **{key: row[key] for key in shown + counted})
         for row in runs
         if "missing" not in row
     ]
@@ -62,6 +82,7 @@ def _summary(row: Row) -> Row:
         what=f"median of {row['seeds']}",
         agent_steps_per_second=row["agent_steps_per_second"],
         seconds_to_goal=row["seconds_to_goal"],
+        agent_steps_to_goal=row["agent_steps_to_goal"],
         reached=row["reached"],
     )
     for name in ("rate", "time"):

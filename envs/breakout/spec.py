@@ -9,6 +9,7 @@ import numpy as np
 from pearl_marl.envs.minatar import SIDE, checked_options, spec_parts
 from pearl_marl.spec import EnvSpec, Golden
 
+from .presets import PRESETS
 from .step import BRICKS, MINIMAL, TOP, State, View, initial, make_step, observe
 
 CHANNELS = 4
@@ -62,7 +63,7 @@ def configure(
         use_minimal_action_set=use_minimal_action_set,
     )
     return EnvSpec(
-        **spec_parts("Breakout", CHANNELS, MINIMAL, minatar_attributes, **options),
+        **spec_parts("Breakout", CHANNELS, MINIMAL, minatar_attributes, **options) | {"presets": PRESETS},
         summary="Bounce a ball off a paddle to break bricks",
         rewards=(0.0, 1.0),
         golden=Golden(

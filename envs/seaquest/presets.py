@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from pearl_marl.envs.minatar import PRESET
+from pearl_marl.envs.minatar import PQN_PRESET, PRESET
 
 PRESETS: dict[str, dict[str, Any]] = {
     # To come up for air is of no use until the air is gone: much entropy, and a long view.
     "ppo": PRESET | {"iterations": 250, "discount": 0.995, "entropy": 0.03},
+    "pqn": PQN_PRESET | {"iterations": 250},
 }

@@ -11,7 +11,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from pearl_marl.envs import get_spec
@@ -24,6 +24,7 @@ OURS = "PEARL-MARL"
 SB3 = "SB3 on EnvPool"
 CLEANRL = "CleanRL's PPO on EnvPool"
 PUREJAXRL = "PureJaxRL's PPO on gymnax"
+PUREJAXQL = "PureJaxQL's PQN on gymnax"
 BENCHMARL = "BenchMARL on our worlds"
 PUFFERLIB = "PufferLib"
 
@@ -35,6 +36,9 @@ class TrainingTask(NamedTuple):
     which the rate is measured; in any case at the end of the preset's iterations, and after ``seconds`` of
     training. Without a goal it ends after ``least`` iterations. An iteration is an update of PPO or PQN, or a
     step of DQN with its updates.
+
+    A task with ``brief_seconds`` takes minutes to its goal. It has that only where its environment is asked
+    for; among all tasks its rate is measured for so many seconds, and with 0 it is not among them.
     """
 
     name: str
@@ -45,6 +49,7 @@ class TrainingTask(NamedTuple):
     every: int = 1  # iterations between evaluations
     seconds: float = 40.0
     options: tuple[tuple[str, Any], ...] = ()  # of the environment, where they are not its defaults
+    brief_seconds: float | None = None
 
     @property
     def spec(self) -> EnvSpec:
@@ -59,18 +64,50 @@ class TrainingTask(NamedTuple):
         """Return the same task with a few iterations and no goal."""
         return self._replace(goal=None, least=2 * self.every)
 
+    def among_all(self) -> TrainingTask | None:
+        """Return the task as it is among those of all environments, or None if it is not."""
+        if self.brief_seconds is None:
+            return self
+        brief = self._replace(goal=None, least=4, every=1, seconds=self.brief_seconds)
+        return brief if self.brief_seconds else None
+
 
 COOP = (("max_num_food", 2), ("force_coop", True))
+
+
+def picture_tasks(env_id: str, goal: float, seconds: float, brief_seconds: float) -> tuple[TrainingTask, ...]:
+    """Return the tasks of a game of MinAtar, which PPO and PQN learn."""
+    return tuple(
+        TrainingTask(
+            f"{algorithm.upper()} {env_id}",
+            algorithm,
+            env_id,
+            goal,
+            least=20,
+            every=5,
+            seconds=seconds,
+            brief_seconds=brief_seconds,
+        )
+        for algorithm in ("ppo", "pqn")
+    )
+
 
 TASKS = (
     TrainingTask("PPO CartPole", "ppo", "CartPole", 475.0, least=20),
     TrainingTask("PPO MountainCar", "ppo", "MountainCar", -115.0, least=10),
     TrainingTask("PPO FrozenLake", "ppo", "FrozenLake", 0.70, least=10),
-    TrainingTask("PPO Seaquest", "ppo", "Seaquest", None, least=4, seconds=20.0),
+    *picture_tasks("Seaquest", 20.4, seconds=240.0, brief_seconds=20.0),
     TrainingTask("PPO LevelBasedForaging", "ppo", "LevelBasedForaging", None, least=12),
+    *picture_tasks("Asterix", 16.7, seconds=150.0, brief_seconds=0.0),
+    *picture_tasks("Breakout", 10.3, seconds=90.0, brief_seconds=0.0),
+    *picture_tasks("Freeway", 20.0, seconds=120.0, brief_seconds=0.0),
+    *picture_tasks("SpaceInvaders", 45.1, seconds=150.0, brief_seconds=0.0),
     TrainingTask("PQN CartPole", "pqn", "CartPole", 475.0, least=20),
     TrainingTask("PQN MountainCar", "pqn", "MountainCar", -115.0, least=10),
     TrainingTask("DQN CartPole", "dqn", "CartPole", 475.0, least=200, every=20),
+    TrainingTask(
+        "DQN Breakout", "dqn", "Breakout", 10.3, least=600, every=300, seconds=200.0, brief_seconds=0.0
+    ),
     TrainingTask("IPPO foraging", "ppo", "LevelBasedForaging", 0.49, least=12, every=4, options=COOP),
     TrainingTask("MAPPO foraging", "mappo", "LevelBasedForaging", 0.49, least=12, every=4, options=COOP),
     TrainingTask("VDN foraging", "vdn", "LevelBasedForaging", 0.49, least=12, every=4, options=COOP),
@@ -80,15 +117,20 @@ TASKS = (
     TrainingTask("VDN RobotWarehouse", "vdn", "RobotWarehouse", None, least=3),
     TrainingTask("QMIX RobotWarehouse", "qmix", "RobotWarehouse", None, least=3),
 )
-"""Seaquest and RobotWarehouse take minutes to their goals, and EnvPool's foraging has other rules: of these
-tasks only the rate is measured. In the others of foraging, each agent gets half of a world's 1 at most.
+"""RobotWarehouse takes minutes to its goal, and EnvPool's foraging has other rules: of these tasks only the
+rate is measured. In the others of foraging, each agent gets half of a world's 1 at most. The goals of
+MinAtar's games are what MinAtar's own DQN reached in 5 million frames; that of Freeway is more, in episodes
+that evaluations end after 1,000 steps.
 """
 
+IN_PYTHON = "stepped by MinAtar itself, in Python: EnvPool's games are Atari's, which are others"
 ENVPOOL_COUNTS = {
-    "Seaquest": "stepped by MinAtar itself, in Python: EnvPool's Seaquest is Atari's, another game",
+    **dict.fromkeys(("Breakout", "Seaquest"), IN_PYTHON),
     "LevelBasedForaging": "Jumanji's rules: two foods, 100 steps",
 }
 """What EnvPool's form of an environment differs in from ours."""
+ENVPOOL_LACKS = ("Asterix", "Freeway", "SpaceInvaders")
+"""Games that EnvPool does not have, and that trainings with MinAtar's own would take most of an hour for."""
 
 
 class TrainerModule(NamedTuple):
@@ -107,6 +149,8 @@ class TrainerModule(NamedTuple):
             return self.problem
         if self.library is not None and self.library not in task.spec.peers:
             return f"{self.library} has no {task.env_id}"
+        if "envpool" in self.packages and task.env_id in ENVPOOL_LACKS:
+            return f"EnvPool has no {task.env_id} of MinAtar; MinAtar's own, in Python, is timed in Breakout"
         absent = [package for package in self.packages if importlib.util.find_spec(package) is None]
         if absent:
             return f"{', '.join(absent)} not installed: make bench-peers, or pip install '.[peers]'"
@@ -131,6 +175,7 @@ TRAINERS = (
         ("jax", "gymnax", "optax"),
         "gymnax",
     ),
+    TrainerModule(PUREJAXQL, "purejaxql", "PQN", ("jax", "gymnax", "optax"), "gymnax"),
     TrainerModule(BENCHMARL, "benchmarl", ("IPPO", "MAPPO", "VDN", "QMIX"), ("benchmarl",)),
     TrainerModule(
         PUFFERLIB,
@@ -144,16 +189,18 @@ TRAINERS = (
 
 Row = dict[str, Any]
 """``task``, ``contender``, ``seed``, ``what_counts``; and either ``agent_steps_per_second``,
-``seconds_to_goal`` (None if the goal was not reached), ``wall`` and what else the process reported; or
-``missing``, the reason why there are no figures."""
+``seconds_to_goal`` and ``agent_steps_to_goal`` (None if the goal was not reached), ``wall`` and what else the
+process reported; or ``missing``, the reason why there are no figures."""
 
 Job = tuple[TrainingTask, TrainerModule, int]
 """A training: its task, its trainer, and its seed."""
 
 
 def tasks_of(env_id: str | None, quick: bool) -> tuple[TrainingTask, ...]:
-    """Return the tasks of an environment, or all; with ``quick`` a few iterations of each."""
-    chosen = (task for task in TASKS if env_id in (None, task.env_id))
+    """Return the tasks of an environment, or of all; with ``quick`` a few iterations of each."""
+    chosen: Iterable[TrainingTask] = (task for task in TASKS if task.env_id == env_id)
+    if env_id is None:
+        chosen = filter(None, (task.among_all() for task in TASKS))
     return tuple(task.shorter() if quick else task for task in chosen)
 
 
@@ -209,14 +256,17 @@ def compared(rows: Sequence[Row]) -> list[Row]:
             continue
         ours = {seed: row for seed, row in runs.get((task, OURS), {}).items() if "missing" not in row}
         both = [(ours[row["seed"]], row) for row in measured if row["seed"] in ours]
-        rate, to_goal = "agent_steps_per_second", "seconds_to_goal"
+        rate, to_goal, steps = "agent_steps_per_second", "seconds_to_goal", "agent_steps_to_goal"
         reached = [row for row in measured if row[to_goal] is not None]
         times = [(mine[to_goal], row[to_goal]) for mine, row in both if row in reached]
         summary |= {
             "seeds": len(measured),
             "reached": len(reached),
             rate: statistics.median(row[rate] for row in measured),
-            to_goal: statistics.median(row[to_goal] for row in reached) if reached else None,
+            **{
+                key: statistics.median(row[key] for row in reached) if reached else None
+                for key in (to_goal, steps)
+            },
             "rate_ratio": _spread([mine[rate] / row[rate] for mine, row in both]),
             "time_ratio": _spread([theirs / own for own, theirs in times if own is not None]),
         }

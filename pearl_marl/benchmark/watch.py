@@ -24,8 +24,8 @@ class Watch:
     ----------
     points
         Seconds of training and agent-steps, after every ``task.every`` iterations.
-    reached
-        The seconds after which the goal was reached, or None.
+    reached, reached_steps
+        The seconds and the agent-steps after which the goal was reached, or None.
     started
         When it began, by ``time.perf_counter``.
     best
@@ -36,6 +36,7 @@ class Watch:
         self.task = task
         self.points: list[tuple[float, int]] = []
         self.reached: float | None = None
+        self.reached_steps: int | None = None
         self.best: float | None = None
         self.iterations = 0
         self.started = self._began = 0.0
@@ -55,7 +56,8 @@ class Watch:
         if self.task.goal is not None and self.reached is None:
             mean = mean_return(self.task.spec, choose)
             self.best = mean if self.best is None else max(self.best, mean)
-            self.reached = seconds if mean >= self.task.goal else None
+            if mean >= self.task.goal:
+                self.reached, self.reached_steps = seconds, agent_steps
         self._began += time.perf_counter() - stopped
         satisfied = self.task.goal is None or self.reached is not None
         return seconds >= self.task.seconds or (satisfied and self.iterations >= self.task.least)

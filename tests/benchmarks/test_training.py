@@ -18,16 +18,33 @@ from pearl_marl.benchmark.training import OURS, TASKS, TRAINERS, TrainerModule, 
 from pearl_marl.benchmark.watch import Watch
 from pearl_marl.spec import EnvSpec
 
-from ..sampling import sampled
+from .. import sampling
 
 Pearl = Callable[..., tuple[int, str, str]]
 NEEDS = {trainer.module: trainer.packages for trainer in TRAINERS if trainer.module is not None}
 TEAM_TRAINER = next(trainer for trainer in TRAINERS if trainer.module == "benchmarl")
-SINGLE = [module for module in NEEDS if module != TEAM_TRAINER.module]
-PPO_TASKS = [task for task in TASKS if task.name.startswith("PPO ")]
-POLE = next(task for task in PPO_TASKS if task.env_id == "CartPole")
+SINGLE_TASKS = [task for task in TASKS if task.name.startswith(("PPO ", "PQN "))]
+POLES = [task for task in SINGLE_TASKS if task.env_id == "CartPole"]
+SINGLE = [
+    (trainer.module, task)
+    for trainer in TRAINERS
+    for task in SINGLE_TASKS
+    if trainer.module is not None and task.name.startswith(trainer.tasks)
+]
+ON_POLES = [(module, task) for module, task in SINGLE if task in POLES]
+DQN_TASKS = [task for task in TASKS if task.algorithm == "dqn"]
 TEAM_TASKS = [task for task in TASKS if task.name.startswith(TEAM_TRAINER.tasks)]
 EASY = TrainingTask("PPO CartPole", "ppo", "CartPole", 475.0, least=1)
+
+
+def sampled_pairs(pairs: list[Any], always: list[Any]) -> list[Any]:
+    """Return trainers with tasks as parameters that have short names."""
+    return [
+        pytest.param(
+            *pair, marks=() if pair in always else pytest.mark.exhaustive, id=f"{pair[0]}-{pair[1].name}"
+        )
+        for pair in (pairs if sampling.exhaustive else always)
+    ]
 
 
 def trainer(module: str) -> Any:
@@ -74,7 +91,7 @@ def watched(monkeypatch: pytest.MonkeyPatch, clock: Clock, task: TrainingTask, r
 def test_evaluations_are_not_timed(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
     made = watched(monkeypatch, clock, EASY._replace(every=2), [0, 475])
     assert made.points == [(4, 20), (6, 40)]
-    assert made.reached == 6
+    assert (made.reached, made.reached_steps) == (6, 40)
     assert made.best == 475
     assert made.rate == 10, "of what came after the first point"
 
@@ -83,13 +100,13 @@ def test_the_rate_is_measured_for_longer_than_the_goal_takes(
     monkeypatch: pytest.MonkeyPatch, clock: Clock
 ) -> None:
     made = watched(monkeypatch, clock, EASY._replace(least=5), [500])
-    assert made.reached == 3
+    assert (made.reached, made.reached_steps) == (3, 10)
     assert made.points[-1] == (7, 50)
 
 
 def test_a_goal_that_is_not_reached_ends_with_the_time(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
     made = watched(monkeypatch, clock, EASY._replace(seconds=8.0), [0] * 10)
-    assert made.reached is None
+    assert (made.reached, made.reached_steps) == (None, None)
     assert made.points[-1] == (8, 60)
 
 
@@ -99,8 +116,7 @@ def test_without_a_goal_nobody_is_evaluated(monkeypatch: pytest.MonkeyPatch, clo
     assert made.rate == pytest.approx(10 / 3), "the first iteration is all that there is"
 
 
-@pytest.mark.parametrize("module", SINGLE)
-@pytest.mark.parametrize("task", sampled(PPO_TASKS, (POLE,)), ids=lambda task: task.env_id)
+@pytest.mark.parametrize(("module", "task"), sampled_pairs(SINGLE, ON_POLES))
 def test_a_few_iterations(monkeypatch: pytest.MonkeyPatch, module: str, task: TrainingTask) -> None:
     """Everybody takes our settings, and its policy's actions are ours."""
     entry = next(trainer for trainer in TRAINERS if trainer.module == module)
@@ -125,7 +141,7 @@ def test_a_few_iterations(monkeypatch: pytest.MonkeyPatch, module: str, task: Tr
             seen.append(agent_steps)
             return super().__call__(agent_steps, choose)
 
-    made.train(task, settings, Looking(task._replace(goal=None, least=3)))
+    made.train(task, settings, Looking(task._replace(goal=None, least=3, every=1)))
     assert seen == [32, 64, 96]
 
 
@@ -139,16 +155,16 @@ def test_all_iterations_are_noted() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("module", SINGLE)
-def test_everybody_balances_the_pole(module: str) -> None:
-    made, noted = trainer(module), Watch(EASY._replace(seconds=600.0))
-    made.train(EASY, EASY.settings(0), noted)
+@pytest.mark.parametrize(("module", "task"), sampled_pairs(ON_POLES, ON_POLES))
+def test_everybody_balances_the_pole(module: str, task: TrainingTask) -> None:
+    made, noted = trainer(module), Watch(task._replace(least=1, seconds=600.0))
+    made.train(task, task.settings(0), noted)
     assert noted.reached is not None
 
 
 @pytest.mark.parametrize("module", ["ours", "sb3"])
-def test_dqn(module: str) -> None:
-    (task,) = (task for task in TASKS if task.algorithm == "dqn")
+@pytest.mark.parametrize("task", DQN_TASKS, ids=lambda task: task.env_id)
+def test_dqn(module: str, task: TrainingTask) -> None:
     few = {"n_agents": 8, "memory": 20, "warm_up": 2, "minibatch": 16, "iterations": 40, "width": 8}
     noted = Watch(task._replace(goal=None, least=20, every=10))
     trainer(module).train(task, dataclasses.replace(task.settings(0), **few), noted)
@@ -225,6 +241,7 @@ def test_who_cannot_run_is_named(pearl: Pearl, tmp_path: Any) -> None:
     assert ours["contender"] == OURS
     assert ours["agent_steps_per_second"] > 0
     assert ours["seconds_to_goal"] is None
+    assert ours["agent_steps_to_goal"] is None
     assert ours["agent_steps"] == 2 * settings.n_agents * settings.rollout_length
     assert ours["wall"] > ours["training_seconds"]
     assert "evaluations, imports and compilation not counted" in ours["what_counts"]
@@ -245,7 +262,9 @@ def test_each_seed_has_everybody_in_turn() -> None:
 
 def row(contender: str, seed: int, rate: float, seconds: float | None) -> dict[str, Any]:
     about = {"task": "PPO CartPole", "contender": contender, "seed": seed, "what_counts": ""}
-    return {**about, "agent_steps_per_second": rate, "seconds_to_goal": seconds}
+    steps = None if seconds is None else round(rate * seconds)
+    reached = {"seconds_to_goal": seconds, "agent_steps_to_goal": steps}
+    return {**about, "agent_steps_per_second": rate, **reached}
 
 
 def test_ratios_are_seed_by_seed() -> None:
@@ -259,7 +278,28 @@ def test_ratios_are_seed_by_seed() -> None:
     assert it["rate_ratio"] == [4, 2, 6]
     assert it["time_ratio"] == [3, 3, 3], "of the seed with which both reached it"
     assert (it["seconds_to_goal"], it["reached"], it["seeds"]) == (5, 2, 3)
+    assert (ours["agent_steps_to_goal"], it["agent_steps_to_goal"]) == (250, 250)
     assert gone["missing"] == "why"
+
+
+def test_long_trainings_have_their_goal_where_their_environment_is_named() -> None:
+    named = {task.name: task for game in ("Seaquest", "Breakout") for task in training.tasks_of(game, False)}
+    assert list(named) == ["PPO Seaquest", "PQN Seaquest", "PPO Breakout", "PQN Breakout", "DQN Breakout"]
+    assert named["PQN Seaquest"].goal == named["PPO Seaquest"].goal == 20.4
+    among_all = {task.name: task for task in training.tasks_of(None, False)}
+    brief = among_all["PQN Seaquest"]
+    assert (brief.goal, brief.seconds) == (None, 20)
+    assert "PQN Breakout" not in among_all
+    assert among_all["PQN CartPole"] == next(task for task in TASKS if task.name == "PQN CartPole")
+    assert all(task.goal is None for task in training.tasks_of("Breakout", quick=True))
+
+
+def test_envpool_has_other_games_than_minatar() -> None:
+    for task in SINGLE_TASKS:
+        for who in (who for who in TRAINERS if "envpool" in who.packages):
+            absent = str(who.missing(task)).startswith(f"EnvPool has no {task.env_id}")
+            minatar = "MinAtar" in (task.spec.oracle or "")
+            assert (absent or "in Python" in who.counts(task)) == minatar
 
 
 def test_refused_calls(pearl: Pearl) -> None:

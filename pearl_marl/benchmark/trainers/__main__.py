@@ -23,6 +23,7 @@ def main(text: str) -> None:
     figures = {
         "agent_steps_per_second": watch.rate,
         "seconds_to_goal": watch.reached,
+        "agent_steps_to_goal": watch.reached_steps,
         "agent_steps": agent_steps,
         "training_seconds": seconds,
         "best_return": watch.best,
