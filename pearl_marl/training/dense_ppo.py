@@ -280,14 +280,14 @@ class PPOGradients:
         )
         self._advantages = samples.advantages
         kind = _SharedLayers if model.shared else _SeparateLayers
-        self._part: _SharedLayers | _SeparateLayers = kind(model, rollout, samples)
-        self._halves = Halves(model, model.policy.about["width"], self._part.gradients)
+        self._loops: _SharedLayers | _SeparateLayers = kind(model, rollout, samples)
+        self._halves = Halves(model, model.policy.about["width"], self._loops.gradients)
 
     def __call__(self, rows: Tensor) -> Tensor:
         """Find the gradients of some rows."""
         numbers = rows.numpy()
         loss = _loss_of()(self._advantages, numbers, self._clip, self._entropy)
-        return self._halves.find(numbers, partial(self._part, loss))
+        return self._halves.find(numbers, partial(self._loops, loss))
 
 
 class _SeparateLayers:
