@@ -38,7 +38,8 @@ class TrainingTask(NamedTuple):
     step of DQN with its updates.
 
     A task with ``brief_seconds`` takes minutes to its goal. It has that only where its environment is asked
-    for; among all tasks its rate is measured for so many seconds, and with 0 it is not among them.
+    for; among all tasks its rate is measured, of four iterations or so many seconds, and with 0 it is not
+    among them.
     """
 
     name: str
@@ -123,14 +124,14 @@ MinAtar's games are what MinAtar's own DQN reached in 5 million frames; that of 
 that evaluations end after 1,000 steps.
 """
 
-IN_PYTHON = "stepped by MinAtar itself, in Python: EnvPool's games are Atari's, which are others"
+IN_PYTHON = "stepped by MinAtar itself, in Python: EnvPool's games are Atari's"
 ENVPOOL_COUNTS = {
     **dict.fromkeys(("Breakout", "Seaquest"), IN_PYTHON),
     "LevelBasedForaging": "Jumanji's rules: two foods, 100 steps",
 }
 """What EnvPool's form of an environment differs in from ours."""
-ENVPOOL_LACKS = ("Asterix", "Freeway", "SpaceInvaders")
-"""Games that EnvPool does not have, and that trainings with MinAtar's own would take most of an hour for."""
+SLOW_IN_PYTHON = ("Asterix", "Freeway", "SpaceInvaders")
+"""Games of MinAtar whose trainings with MinAtar's own environments would take most of an hour."""
 
 
 class TrainerModule(NamedTuple):
@@ -149,8 +150,8 @@ class TrainerModule(NamedTuple):
             return self.problem
         if self.library is not None and self.library not in task.spec.peers:
             return f"{self.library} has no {task.env_id}"
-        if "envpool" in self.packages and task.env_id in ENVPOOL_LACKS:
-            return f"EnvPool has no {task.env_id} of MinAtar; MinAtar's own, in Python, is timed in Breakout"
+        if "envpool" in self.packages and task.env_id in SLOW_IN_PYTHON:
+            return "MinAtar's own environments, in Python, are timed in Breakout and Seaquest only"
         absent = [package for package in self.packages if importlib.util.find_spec(package) is None]
         if absent:
             return f"{', '.join(absent)} not installed: make bench-peers, or pip install '.[peers]'"

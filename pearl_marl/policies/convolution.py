@@ -1,10 +1,10 @@
 """A linear layer over what filters make of planes of 0 and 1, and the gradients by both, compiled for a CPU.
 
 A filter covers squares of 3 by 3, and most of such pictures' squares are empty or equal to the same square of
-another picture: of the 64 in a picture of Seaquest 24 are not empty, and among 512 pictures 10 of each are
-new. An empty square gives the linear layer what the filters' biases give it, which is the same for all
-pictures. Of others, what the filters make, less what the biases alone do, is multiplied once for all that are
-equal; and so are the sums of the gradients by their outputs.
+another picture. Of 512 random pictures of Seaquest, each has 64 squares, of which 24 are not empty; of these,
+10 are unlike those of earlier pictures. An empty square gives the linear layer what the filters' biases give
+it, which is the same for all pictures. Of others, what the filters make, less what the biases alone do, is
+multiplied once for all that are equal, and so is the sum of the gradients by their outputs.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ BLOCK = 512
 """Pictures that go through both layers at once: their outputs fit a cache."""
 SHARED = 128
 """Pictures from which on a thread has enough to do."""
-TOGETHER = 8
-"""Squares that are multiplied together."""
+FEW, TOGETHER = 4, 8
+"""Squares that are multiplied together by many outputs' weights, and by one's: as many as registers hold."""
 VECTORS = 4
 PANEL = VECTORS * FILTERS
 """Outputs of the linear layer that are summed together, in so many vectors."""
@@ -70,13 +70,13 @@ def _panel(builder: Any, pointer: Any) -> list[Any]:
 
 
 def _plus_product(builder: Any, total: Any, numbers: Any, factors: Any) -> Any:
-    """Return sums with products added, which processors that can round but once."""
+    """Return sums with products added; processors that can do both at once round once."""
     fused = ("contract",)
     return builder.fadd(total, builder.fmul(factors, numbers, flags=fused), flags=fused)
 
 
 def _positive(builder: Any, numbers: Any) -> Any:
-    """Return which of sixteen numbers are above 0, or none at all."""
+    """Return which of sixteen numbers are above 0, or NaN."""
     return builder.fcmp_unordered(">", numbers, ir.Constant(_VECTOR, [0.0] * FILTERS))
 
 
@@ -98,7 +98,7 @@ def _add(_: Any, sums: Any, at: Any, terms: Any, of: Any, factor: Any) -> Any:
 
 @_intrinsic  # type: ignore[untyped-decorator]
 def _rectify(_: Any, made: Any, at: Any, sums: Any, of: Any, bias: Any) -> Any:
-    """Add sixteen biases to sums; write what is above 0 less the biases that are; return which sums are."""
+    """Store relu(sums + bias) - relu(bias); return a bit for each sum with its bias that is above 0."""
 
     def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
         to, some = (
@@ -138,7 +138,7 @@ def _multiply(_: Any, products: Any, column: Any, width: Any, made: Any, rank: A
 
     The weights are ``(filters, width)``, and the products ``(kinds, width)``, as one axis.
     """
-    kinds = TOGETHER // 2
+    kinds = FEW
 
     def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
         _, column, width, _, rank, _ = operands
@@ -274,10 +274,10 @@ def _some_not_zero(elements: Array, start: int, count: int) -> Any:
 
 
 class FilterLayer(NamedTuple):
-    """Filters, and where pictures go through them. A place is a square's number; there is a margin of two."""
+    """Filters, and where pictures go through them."""
 
     shape: tuple[int, int, int]  # of a picture
-    places: Array  # the place of the square that begins with an element, for each
+    places: Array  # where the square that begins with an element is, for each; with a margin of two
     channels: Array  # and its channel
     begins: Array  # the first element of each square
     keys: Array  # random numbers (3, 3, channels), as one axis: see :func:`_hash`
@@ -404,7 +404,10 @@ def _filter_gradients(
 
 
 def _no_kinds(size: int) -> Kinds:
-    """Return arrays for the kinds of so many squares."""
+    """Return arrays for the kinds of so many squares.
+
+    Squares are multiplied a few at a time; where fewer are left, so is what lies behind them, for nothing.
+    """
     slots = 2
     while slots < 2 * size:
         slots *= 2
@@ -433,6 +436,7 @@ def _outputs(
     ``elements``, 64 more have to be there.
     """
     width, kinds = outputs.shape[1], _no_kinds_of(size)
+    # With a few columns more, a picture's hashes do not all fall into the same set of the cache.
     hashes = np.empty((len(weights), size + TOGETHER), np.uint64)
     products = np.empty(size * width, np.float32)
     for start in range(0, len(outputs), size):
@@ -441,12 +445,12 @@ def _outputs(
         _hash_of(some, layer, hashes[:, :n])
         for i in range(n):
             rows[i * width : (i + 1) * width] = of_empty
-        for place in range(len(weights)):
-            count, members = _find_kinds_of(hashes[place, :n], kinds)
-            _filter_of(some, layer, layer.begins[place], kinds, count)
-            for rank in range(0, count, TOGETHER // 2):
+        for square in range(len(weights)):
+            count, members = _find_kinds_of(hashes[square, :n], kinds)
+            _filter_of(some, layer, layer.begins[square], kinds, count)
+            for rank in range(0, count, FEW):
                 for column in range(0, width, PANEL):
-                    _multiply(products, column, width, kinds.made, rank, weights[place])
+                    _multiply(products, column, width, kinds.made, rank, weights[square])
             for k in range(members):
                 at, of = kinds.members[k] * width, kinds.ranks[k] * width
                 for column in range(0, width, FILTERS):
@@ -470,15 +474,16 @@ def _gradients(
     were empty, and the biases above 0.
     """
     width, kinds = by_outputs.shape[1], _no_kinds_of(size)
+    # With a few columns more, a picture's hashes do not all fall into the same set of the cache.
     hashes = np.empty((len(weights), size + TOGETHER), np.uint64)
     sums, by_made = np.zeros(size * width, np.float32), np.empty(size * FILTERS, np.float32)
     for start in range(0, len(by_outputs), size):
         by, n = by_outputs[start : start + size].ravel(), min(size, len(by_outputs) - start)
         some = elements[start * len(layer.places) :]
         _hash_of(some, layer, hashes[:, :n])
-        for place in range(len(weights)):
-            count, members = _find_kinds_of(hashes[place, :n], kinds)
-            _filter_of(some, layer, layer.begins[place], kinds, count)
+        for square in range(len(weights)):
+            count, members = _find_kinds_of(hashes[square, :n], kinds)
+            _filter_of(some, layer, layer.begins[square], kinds, count)
             sums[: count * width] = 0
             for k in range(members):
                 at, of = kinds.ranks[k] * width, kinds.members[k] * width
@@ -486,15 +491,15 @@ def _gradients(
                     _add(sums, at + column, by, of + column, np.float32(1))
             for number in range(0, FILTERS, 4):
                 for column in range(0, width, PANEL):
-                    to = (place * FILTERS + number) * width + column
+                    to = (square * FILTERS + number) * width + column
                     _add_products(by_weights, to, width, kinds.made, number, count, sums, column)
             for rank in range(0, count, TOGETHER):
-                _project(by_made, rank, sums, width, weights[place])
+                _project(by_made, rank, sums, width, weights[square])
             for rank in range(count):
                 _add(by_biases, FILTERS, by_made, rank * FILTERS, np.float32(1))
                 _keep(by_made, rank * FILTERS, kinds.flags[rank])
                 _add(by_biases, 0, by_made, rank * FILTERS, np.float32(1))
-            _filter_gradients_of(some, layer, layer.begins[place], kinds, count, by_made, by_filters)
+            _filter_gradients_of(some, layer, layer.begins[square], kinds, count, by_made, by_filters)
 
 
 _outputs_of = compiled_loop(_outputs)

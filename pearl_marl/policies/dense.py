@@ -373,7 +373,7 @@ def _columns(by: Array, bias: Array, rows: int) -> None:
 def _through_bend(by: Array, h: Array, n: int, rectified: bool) -> None:
     if rectified:
         for i in range(n):
-            by[i] = by[i] if h[i] > _NONE else _NONE
+            by[i] = _NONE if h[i] <= _NONE else by[i]  # what is no number stays one
         return
     for i in range(n):
         by[i] *= _ONE - h[i] * h[i]

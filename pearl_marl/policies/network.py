@@ -311,7 +311,7 @@ class Pictures:
     """
 
     def __init__(self, network: Network, obs: Tensor, position: Tensor | None) -> None:
-        self._network, self._obs = network, network.encoder.whole(obs)
+        self._network, self._obs = network, obs
         self._numbers = np.zeros((len(obs), 1), np.int64)
         none, nothing = np.empty(0, np.float32), np.empty((len(obs), 0), np.float32)
         positions = np.empty(0, np.int64)
@@ -329,7 +329,7 @@ class Pictures:
         """
         parameters = self._network.encoder.picture_weights()
         filters, filter_bias, weights, bias = (parameter.detach() for parameter in parameters)
-        planes = Planes(self._obs[rows], filters, filter_bias)
+        planes = Planes(self._network.encoder.whole(self._obs[rows]), filters, filter_bias)
         self._numbers[rows.numpy(), 0] = np.arange(len(rows))
         made = planes.outputs(weights, bias)
         by_made = torch.empty_like(made)

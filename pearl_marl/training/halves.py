@@ -22,7 +22,7 @@ class Halves:
     """Has gradients found for all rows of a minibatch, or for its halves, which are added up.
 
     The number of threads changes nothing: a minibatch that is large enough for two is always the sum of two
-    halves.
+    halves, which one thread finds one after the other if PyTorch has one.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class Halves:
     width
         Of its layers.
     weights
-        Returns the weights as compiled loops take them, or the tensors that stand for them.
+        Returns what a half is given to write its gradients into, of a tensor for each parameter.
     """
 
     def __init__(
@@ -44,15 +44,20 @@ class Halves:
         self._gradients = [
             weights(dict(zip(parameters, tensors, strict=True))) for tensors in (self._first, self._second)
         ]
-        self._helper = ThreadPoolExecutor(1, initializer=torch.set_num_threads, initargs=(1,))
+        self._helper: ThreadPoolExecutor | None = None
+        if torch.get_num_threads() > 1:
+            self._helper = ThreadPoolExecutor(1, initializer=torch.set_num_threads, initargs=(1,))
 
     def find(self, rows: Array, half: Callable[[Array, Any], npt.NDArray[np.float64]]) -> Tensor:
         """Call ``half`` with rows and where it writes their gradients; return the sum of what it returns."""
         if len(rows) * self._width < SECOND_THREAD:
             return torch.from_numpy(half(rows, self._gradients[0]))
         middle = len(rows) // 2
-        other = self._helper.submit(half, rows[middle:], self._gradients[1])
-        figures = half(rows[:middle], self._gradients[0]) + other.result()
+        if self._helper is not None:
+            other = self._helper.submit(half, rows[middle:], self._gradients[1])
+            figures = half(rows[:middle], self._gradients[0]) + other.result()
+        else:
+            figures = half(rows[:middle], self._gradients[0]) + half(rows[middle:], self._gradients[1])
         for gradient, second in zip(self._first, self._second, strict=True):
             gradient += second
         return torch.from_numpy(figures)

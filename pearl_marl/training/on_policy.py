@@ -41,6 +41,9 @@ class OnPolicyTrainer(Trainer):
 
     max_grad_norm: float
 
+    of_teams = False
+    """Whether a row that is learned from is of a world's whole team."""
+
     def __init__(self, spec: EnvSpec, device: Any, settings: Any, shards: int | None = None) -> None:
         torch.manual_seed(settings.seed)
         self.model = self.made(spec, settings)
@@ -67,7 +70,8 @@ class OnPolicyTrainer(Trainer):
         self.optimiser = Adam(self.model.parameters(), epsilon=1e-5, max_grad_norm=self.max_grad_norm)
         # With a memory, not all steps of a chunk are learned from, so that a loss is no mean of its halves'.
         divisible = not self.policy.remembers
-        self.halves = AutogradHalves(self.optimiser.parameters, settings.width, divisible)
+        width = settings.width * (spec.agents if self.of_teams else 1)
+        self.halves = AutogradHalves(self.optimiser.parameters, width, divisible)
         self.components = {"model": self.model, "optimiser": self.optimiser}
         self.last_losses = torch.zeros(len(self.losses), device=self.where)
 

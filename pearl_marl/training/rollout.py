@@ -99,7 +99,8 @@ class RolloutWorker:
         n = edges[-1] - edges[0]
         self.agents = Agents(spec, device, n, settings.seed, edges[0], model.central)
         self.where = self.agents.obs.device
-        self.expects: list[Tensor] = []  # what the critic expects of each step so far
+        # What the critic expects of each step so far, if decide() finds that, too; see RolloutSteps.values.
+        self.expects: list[Tensor] = []
 
     @torch.no_grad()
     def gather(self, rollout: int) -> RolloutBuffer:

@@ -42,6 +42,8 @@ class QMIXSettings(VDNSettings):
 class VDN(PQN):
     """A run of VDN: the value of a team is the sum of its agents'."""
 
+    of_teams = True
+
     def __init__(self, spec: EnvSpec, device: Any, settings: VDNSettings) -> None:
         if spec.agents < 2:
             raise ArgumentError(f"{spec.name} has one agent in a world, and a team has several: use pqn")

@@ -21,7 +21,9 @@ ROWS = 200
 def trainer_with_samples(algorithm: str, env_id: str) -> tuple[Any, RolloutBuffer, Tensor]:
     """A trainer far from its first weights, with a rollout of other ones, and rows of it to learn from."""
     spec = get_spec(env_id)
-    small = {"n_agents": 64, "rollout_length": 8, "minibatch": ROWS, "entropy": 0.05}
+    small: dict[str, Any] = {"n_agents": 64, "rollout_length": 8, "minibatch": ROWS}
+    if algorithm != "pqn":
+        small["entropy"] = 0.05
     trainer = ALGORITHMS[algorithm](spec, "native", settings_for(algorithm, env_id, small))
     samples = trainer.worker.gather(0).flat()
     rows = samples.loss_mask.nonzero()[:, 0]
@@ -88,3 +90,21 @@ def test_separate_networks_are_left_to_pytorch() -> None:
     small = {"n_agents": 4, "rollout_length": 2}
     settings = settings_for("ppo", "CoinGame", small)
     assert not fits(ALGORITHMS["ppo"](get_spec("CoinGame"), "native", settings).model)
+
+
+@pytest.mark.parametrize("n", [40, ROWS])
+@pytest.mark.parametrize("algorithm", ["ppo", "pqn"])
+def test_threads_change_nothing(algorithm: str, n: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of pictures, whether minibatches are halved or not."""
+    monkeypatch.setattr(halves, "SECOND_THREAD", ROWS * 128)
+    trainer, samples, rows = trainer_with_samples(algorithm, "Breakout")
+    found, threads = [], torch.get_num_threads()
+    try:
+        for number in (1, 2, 4):
+            torch.set_num_threads(number)
+            figures = trainer.gradients(samples)(rows[:n])
+            found.append((figures, *(parameter.grad.clone() for parameter in trainer.model.parameters())))
+    finally:
+        torch.set_num_threads(threads)
+    for other in found[1:]:
+        assert all(torch.equal(one, two) for one, two in zip(found[0], other, strict=True))

@@ -58,10 +58,11 @@ def test_halves_make_the_whole(algorithm: str, monkeypatch: pytest.MonkeyPatch) 
     [
         ("ppo", "Breakout", {"memory": "gru", "chunk_length": 4}),
         ("vdn", "Overcooked", {}),  # whose rows are worlds in which somebody acts
+        ("qmix", "Overcooked", {}),
         ("ppo", "Breakout", {}),
     ],
 )
-def test_what_is_no_mean_of_rows_is_not_halved(algorithm: str, env_id: str, given: dict[str, Any]) -> None:
+def test_only_means_of_rows_are_halved(algorithm: str, env_id: str, given: dict[str, Any]) -> None:
     """With a memory, a loss is the mean of those of its rows that are learned from."""
     trainer = made(algorithm, env_id, **given)
     asked: list[int] = []
