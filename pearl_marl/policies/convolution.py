@@ -9,6 +9,7 @@ multiplied once for all that are equal, and so is the sum of the gradients by th
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -539,6 +540,10 @@ def are_planes(space: Space[Any]) -> bool:
 def _helper() -> ThreadPoolExecutor:
     """Return the thread that does half of what can be shared."""
     return ThreadPoolExecutor(1, "pearl-planes")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_helper.cache_clear)  # the thread stays behind
 
 
 class Planes:

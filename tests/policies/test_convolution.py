@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from typing import Any
 
 import numpy as np
@@ -90,6 +92,25 @@ def test_threads_change_nothing() -> None:
     finally:
         torch.set_num_threads(threads)
     assert torch.equal(*found)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="forks are of POSIX")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_forked_process_starts_a_thread_of_its_own() -> None:
+    """The one of the process that it comes from is not there, and would never be done."""
+    layers, obs, threads = Layers(6, 5, 4), planes(2 * BLOCK, (6, 5, 4)), torch.get_num_threads()
+    arguments = [obs, *(parameter.detach() for parameter in layers.parameters())]
+    torch.set_num_threads(2)
+    try:
+        apply(*arguments)
+        child = os.fork()
+        if child == 0:
+            signal.alarm(20)  # ends a process that waits
+            apply(*arguments)
+            os._exit(0)
+        assert os.waitpid(child, 0)[1] == 0
+    finally:
+        torch.set_num_threads(threads)
 
 
 def test_planes_need_not_lie_in_a_row() -> None:
