@@ -262,17 +262,18 @@ class Network(nn.Module):
         makes, or where the gradients by it go.
         """
         encoder, empty = self.encoder, _EMPTY.expand(0, self.hidden.in_features)
-        first: tuple[Tensor, Tensor, Tensor]
+        weights, table, bias = empty.t(), empty, None
         if made is not None:
-            first = empty.t(), made, made.new_zeros(self.hidden.in_features)
+            table, bias = made, made.new_zeros(self.hidden.in_features)
         elif encoder.kind == "numbers":
-            first = empty.t(), encoder.table.weight, encoder.bias
+            table, bias = encoder.table.weight, encoder.bias
         else:
-            first = encoder.linear.weight, empty, encoder.linear.bias
+            weights, bias = encoder.linear.weight, encoder.linear.bias
         tensors: tuple[Tensor, ...] = (
-            *first[:2],
+            weights,
+            table,
             empty if self.indicator is None else self.indicator.weight,
-            first[2],
+            bias,
             *(self.hidden.weight, self.hidden.bias, self.output.weight, self.output.bias),
         )
         if instead is not None:

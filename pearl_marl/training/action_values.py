@@ -29,7 +29,7 @@ class ActionValues(nn.Module):
     :mod:`pearl_marl.training.mixers`. A mixer that has a method ``see`` is given states of worlds.
     """
 
-    of_best = together = True  # see ActorCritic
+    of_best = shared = True  # see ActorCritic
 
     def __init__(self, spec: EnvSpec, settings: Any, mixer: nn.Module | None = None) -> None:
         super().__init__()

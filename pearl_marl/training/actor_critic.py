@@ -71,11 +71,6 @@ class ActorCritic(nn.Module):
     of_best = False
     """Whether what is expected is of the best action that masks allow, and not of an observation."""
 
-    @property
-    def together(self) -> bool:
-        """Whether the same layers find the policy's outputs and what the critic expects."""
-        return self.shared
-
     mixer = None
     """Makes the value of a team of its agents' values: see :mod:`pearl_marl.training.mixers`."""
 

@@ -326,9 +326,8 @@ class _SharedLayers:
         self._model, self._samples = model, samples
         self._pictures = Pictures(model.actor, rollout.inputs.obs, rollout.inputs.position)
 
-    def gradients(self, instead: Mapping[Tensor, Tensor]) -> Mapping[Tensor, Tensor]:
-        """Return the tensors for the gradients by parameters."""
-        return instead
+    gradients = dict
+    """Gradients are written into tensors by parameters: what the first layer makes is not there yet."""
 
     def __call__(self, loss: Loss, rows: Array, gradients: Mapping[Tensor, Tensor]) -> Array:
         """Write the gradients; return the losses."""

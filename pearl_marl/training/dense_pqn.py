@@ -6,7 +6,6 @@ They are those that autograd finds for ``PQN.autograd`` and ``VDN.autograd``. Th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -27,9 +26,10 @@ from pearl_marl.policies.dense import (
     store_gradients,
     tile_of,
 )
-from pearl_marl.policies.network import Pictures, takes_planes
+from pearl_marl.policies.network import Pictures, is_dense, takes_planes
 from pearl_marl.training.action_values import ActionValues
 from pearl_marl.training.halves import Halves
+from pearl_marl.training.mixers import SumMixer
 from pearl_marl.training.rollout import RolloutBuffer
 
 
@@ -73,9 +73,11 @@ def _gradients(
 _gradients_of = compiled_loop(_gradients, dense, fused=True)
 
 
-def sums_teams(team: int) -> bool:
-    """Return whether these loops can learn the values of teams of so many agents."""
-    return team <= ROWS
+def fits(model: ActionValues, team: int = 1) -> bool:
+    """Return whether these loops can learn a model, of teams of so many agents."""
+    network = model.policy.network
+    summed = model.mixer is None or isinstance(model.mixer, SumMixer)
+    return summed and team <= ROWS and (is_dense(network) or takes_planes(network))
 
 
 class PQNGradients:
@@ -88,28 +90,29 @@ class PQNGradients:
     def __init__(self, model: ActionValues, rollout: RolloutBuffer, team: int = 1) -> None:
         network: Any = model.policy.network
         inputs = rollout.inputs
-        self._network, self._pictures = network, None
+        self._layers, self._pictures = network.layers, None
         if takes_planes(network):
             self._pictures = Pictures(network, inputs.obs, inputs.position)
             self._inputs = self._pictures.inputs
         else:
-            self._inputs = network.observed(inputs.obs, inputs.position)
+            self._inputs, self._weights = network.observed(inputs.obs, inputs.position), network.layers()
         self._actions = rollout.actions.contiguous().numpy()
         self._returns = rollout.returns.contiguous().numpy()
         self._acting, self._team = rollout.loss_mask.contiguous().numpy(), np.arange(team)
-        self._halves = Halves(model, team * network.hidden.in_features, lambda tensors: tensors)
+        width = team * network.hidden.in_features
+        self._halves = Halves(model, width, network.layers if self._pictures is None else dict)
 
     def __call__(self, rows: Tensor) -> Tensor:
         """Find the gradients of some rows, or worlds."""
         share, team = 1 / len(rows), len(self._team)
 
-        def half(some: Array, gradients: Mapping[Tensor, Tensor]) -> Array:
-            layers, agents = self._network.layers, (some[:, None] * team + self._team).ravel()
+        def half(some: Array, gradients: Any) -> Array:
+            agents = (some[:, None] * team + self._team).ravel()
             samples = self._inputs, self._actions, self._returns, self._acting, team, agents, share
             if self._pictures is None:
-                return np.array([_gradients_of()(layers(), layers(gradients), *samples)])
+                return np.array([_gradients_of()(self._weights, gradients, *samples)])
             with self._pictures.first_layer(torch.from_numpy(agents), gradients) as (made, by_made):
-                weights, by_weights = layers(made=made), layers(gradients, by_made)
+                weights, by_weights = self._layers(made=made), self._layers(gradients, by_made)
                 return np.array([_gradients_of()(weights, by_weights, *samples)])
 
         return self._halves.find(rows.numpy(), half)

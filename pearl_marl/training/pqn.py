@@ -13,11 +13,11 @@ from functools import partial
 from torch import Tensor
 
 from pearl_marl.policies.memory import MEMORY
-from pearl_marl.policies.network import SHARING, is_dense, takes_planes
+from pearl_marl.policies.network import SHARING
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.action_values import ActionValues, explored
 from pearl_marl.training.agents import TEAM
-from pearl_marl.training.dense_pqn import PQNGradients
+from pearl_marl.training.dense_pqn import PQNGradients, fits
 from pearl_marl.training.on_policy import OnPolicyTrainer
 from pearl_marl.training.rollout import RolloutBuffer
 from pearl_marl.training.settings import SEEDS, WIDEST, BlockSettings, choice, count, number
@@ -67,7 +67,7 @@ class PQN(OnPolicyTrainer):
 
     def gradients(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
         """Return a function that finds the gradients of some rows' loss: compiled, if that can be."""
-        if is_dense(self.model.policy.network) or takes_planes(self.model.policy.network):
+        if fits(self.model):
             return PQNGradients(self.model, samples)
         return partial(self.autograd, samples)
 

@@ -213,22 +213,26 @@ class RolloutWorker:
 
         Note what the critic expects, if the same layers find it.
         """
-        n, model = len(inputs.obs), self.model
         if self.spec.turns:
-            asked = [self.agents.acting.nonzero()[:, 0]]  # the others are asked nothing
+            rows = self.agents.acting.nonzero()[:, 0]  # the others are asked nothing
+            outputs = torch.full((len(inputs.obs), self.model.policy.outputs), MASKED, device=self.where)
+            values = torch.zeros(len(inputs.obs), device=self.where)
+            outputs[rows], values[rows] = self._asked(inputs.pick(rows))
+        elif len(self.blocks) > 1:
+            parts = [self._asked(inputs.pick(block)) for block in self.blocks]
+            outputs, values = (torch.cat(part) for part in zip(*parts, strict=True))
         else:
-            asked = [torch.arange(block.start, block.stop, device=self.where) for block in self.blocks]
-        outputs = torch.full((n, model.policy.outputs), MASKED, device=self.where)
-        values = torch.zeros(n, device=self.where)
-        for rows in asked:
-            some = inputs if len(rows) == n else inputs.pick(rows)
-            if model.together:
-                outputs[rows], values[rows] = model(some)
-            else:
-                outputs[rows] = model.outputs(some)
-        if model.together:
+            outputs, values = self._asked(inputs)
+        if self.model.shared:
             self.expects.append(values)
         return outputs
+
+    def _asked(self, inputs: Inputs) -> tuple[Tensor, Tensor]:
+        """Return the policy's outputs, and what the critic expects; 0 where that takes layers of its own."""
+        if self.model.shared:
+            outputs, values = self.model(inputs)
+            return outputs, values
+        return self.model.outputs(inputs), torch.zeros(len(inputs.obs), device=self.where)
 
     def _noise(self, rollout: int) -> Tensor:
         """Return the noise that makes the rollout's actions random."""

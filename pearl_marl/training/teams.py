@@ -15,10 +15,9 @@ import torch
 from torch import Tensor
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.network import is_dense, takes_planes
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.action_values import ActionValues
-from pearl_marl.training.dense_pqn import PQNGradients, sums_teams
+from pearl_marl.training.dense_pqn import PQNGradients, fits
 from pearl_marl.training.mixers import MonotonicMixer, SumMixer
 from pearl_marl.training.pqn import PQN, PQNSettings
 from pearl_marl.training.rollout import RolloutBuffer
@@ -67,9 +66,8 @@ class VDN(PQN):
 
     def gradients(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
         """Return a function that finds the gradients of some worlds' loss: compiled, if that can be."""
-        network, team = self.policy.network, len(self.team)
-        if (is_dense(network) or takes_planes(network)) and sums_teams(team):
-            return PQNGradients(self.model, samples, team)
+        if fits(self.model, len(self.team)):
+            return PQNGradients(self.model, samples, len(self.team))
         return partial(self.autograd, samples)
 
     def autograd(self, samples: RolloutBuffer, minibatch: Tensor) -> Tensor:
@@ -97,7 +95,3 @@ class QMIX(VDN):
     def made(self, spec: EnvSpec, settings: Any) -> ActionValues:
         """Return the model that is learned."""
         return ActionValues(spec, settings, MonotonicMixer(spec, settings.mixer_width))
-
-    def gradients(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
-        """Return a function that finds the gradients of some worlds' loss."""
-        return partial(self.autograd, samples)

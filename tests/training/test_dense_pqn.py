@@ -10,7 +10,7 @@ import torch
 
 from pearl_marl.envs import get_spec
 from pearl_marl.policies import network
-from pearl_marl.training import halves, pqn
+from pearl_marl.training import halves
 from pearl_marl.training.pqn import PQN
 from pearl_marl.training.run import settings_for
 
@@ -37,10 +37,8 @@ def test_gradients_are_those_of_pytorch(
     compiled: Any = trainer.gradients(samples)
     assert not isinstance(compiled, partial)
     results = []
-    for dense in (True, False):
-        if not dense:
-            for module, name in ((network, "is_dense"), (pqn, "is_dense"), (pqn, "takes_planes")):
-                monkeypatch.setattr(module, name, lambda _: False)
-        loss = trainer.gradients(samples)(rows)
+    for gradients in (compiled, partial(trainer.autograd, samples)):
+        loss = gradients(rows)
         results.append((loss.float(), [parameter.grad.clone() for parameter in trainer.model.parameters()]))
+        monkeypatch.setattr(network, "is_dense", lambda _: False)
     torch.testing.assert_close(*results, rtol=1e-4, atol=2e-5)
