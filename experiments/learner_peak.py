@@ -18,7 +18,8 @@ from torch import Tensor, nn
 
 from pearl_marl.envs import get_spec
 from pearl_marl.experiments.calling import call
-from pearl_marl.policies.convolution import FILTERS, SIDE
+from pearl_marl.policies.convolution import SIDE
+from pearl_marl.policies.convolution_vectors import FILTERS
 from pearl_marl.policies.network import Encoder
 from pearl_marl.training.ppo import PPO
 from pearl_marl.training.rollout import RolloutBuffer

@@ -16,7 +16,8 @@ from torch.nn.functional import layer_norm
 from pearl_marl.compiler.packing import unpacked
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies import dense
-from pearl_marl.policies.convolution import FILTERS, SIDE, Planes, PlanesLayer, are_planes
+from pearl_marl.policies.convolution import SIDE, Planes, PlanesLayer, are_planes
+from pearl_marl.policies.convolution_vectors import FILTERS
 from pearl_marl.policies.memory import Memory, Recall
 from pearl_marl.spec import EnvSpec
 from pearl_marl.spec.elements import are_numbers, bounds

@@ -13,7 +13,8 @@ from gymnasium.spaces import Box
 from torch import Tensor, nn
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.convolution import BLOCK, FILTERS, PANEL, SIDE, PlanesLayer, are_planes
+from pearl_marl.policies.convolution import BLOCK, SIDE, PlanesLayer, are_planes
+from pearl_marl.policies.convolution_vectors import FILTERS, PANEL
 from pearl_marl.policies.network import Encoder
 
 WIDTH = 5
