@@ -167,12 +167,17 @@ class Record(NamedTuple):
 
     def experience(self, config: BatchConfig, last: Observed) -> Experience:
         """Return the steps as a learner takes them, and what was observed ``last``."""
-        observations, cut = observations_of(config.spec, self.observations), self.truncations.view(np.bool_)
-        final = np.zeros_like(observations)
-        final[cut] = observations_of(config.spec, self.final[cut])
+        spec, cut = config.spec, self.truncations.view(np.bool_)
+        steps, agents = cut.shape
+        observations = np.empty((steps + 1, agents, *spec.observation_shape), spec.observation_dtype)
+        observations_of(spec, self.observations, observations[:-1])
+        observations[-1] = last.obs
+        # Of zeros that nothing is written to, nothing is ever fetched; np.zeros_like() would write them.
+        final = np.zeros((steps, agents, *spec.observation_shape), spec.observation_dtype)
+        final[cut] = observations_of(spec, self.final[cut])
         masks = None if last.action_masks is None else np.concatenate([self.masks, last.action_masks[None]])
         return Experience(
-            observations=np.concatenate([observations, last.obs[None]]),
+            observations=observations,
             action_masks=masks,
             in_episode=np.concatenate([self.present.view(np.bool_), last.in_episode[None]]),
             words=self.words,
@@ -184,15 +189,25 @@ class Record(NamedTuple):
         )
 
 
-def observations_of(spec: EnvSpec, elements: Array) -> Array:
-    """Return elements of :func:`recorded_form`, shape ``(..., elements)``, as an environment gives them."""
+def observations_of(spec: EnvSpec, elements: Array, out: Array | None = None) -> Array:
+    """Return elements of :func:`recorded_form`, shape ``(..., elements)``, as an environment gives them.
+
+    ``out``, if given, is where they are written, and returned.
+    """
     dtype = spec.observation_dtype
     if dtype == np.bool_:
         elements = elements.view(dtype)
     elif recorded_form(spec) is not spec:
         scale = np.array([2.0**-bits for bits in spec.element_fractions], dtype)
-        elements = elements.astype(dtype) * scale
-    return elements.reshape(*elements.shape[:-1], *spec.observation_shape)
+        rows = None if out is None else out.reshape(elements.shape)  # a view, as they lie one after the other
+        elements = np.multiply(elements, scale, out=rows, dtype=dtype, casting="unsafe")
+        if out is not None:
+            return out
+    shaped = elements.reshape(*elements.shape[:-1], *spec.observation_shape)
+    if out is None:
+        return shaped
+    out[:] = shaped
+    return out
 
 
 def actions_of(spec: EnvSpec, words: Array) -> Array:

@@ -9,9 +9,7 @@ multiplied once for all that are equal, and so is the sum of the gradients by th
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -39,6 +37,7 @@ from pearl_marl.policies.convolution_vectors import (
     project,
     rectify,
 )
+from pearl_marl.policies.second_thread import over_rows
 
 SIDE = 3
 """Rows and columns of a filter."""
@@ -323,16 +322,6 @@ def are_planes(space: Space[Any]) -> bool:
     return bool(space.low.min() >= 0 and space.high.max() <= 1)
 
 
-@cache
-def _helper() -> ThreadPoolExecutor:
-    """Return the thread that does half of what can be shared."""
-    return ThreadPoolExecutor(1, "pearl-planes")
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_helper.cache_clear)  # the thread stays behind
-
-
 class Planes:
     """Pictures and filters: what the linear layer makes of both, and the gradients."""
 
@@ -364,12 +353,7 @@ class Planes:
             arguments = self._size, by_place, of_empty, outputs[some]
             _outputs_of()(self._elements[some.start * self._picture :], self._layer, *arguments)
 
-        if n >= 2 * SHARED and torch.get_num_threads() > 1:
-            other = _helper().submit(write, slice(n // 2, n))
-            write(slice(0, n // 2))
-            other.result()
-        else:
-            write(slice(0, n))
+        over_rows(n, SHARED, write)
         return torch.from_numpy(outputs)[:, :width].contiguous()
 
     def gradients(self, weights: Tensor, by_outputs: Tensor) -> Iterator[Tensor]:

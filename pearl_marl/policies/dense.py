@@ -58,6 +58,11 @@ class NetworkInputs(NamedTuple):
     numbers: Array  # (n, parts) int64: rows of the table
     position: Array  # (n,) int64: the row of the indicator; or empty
 
+    def pick(self, rows: slice) -> NetworkInputs:
+        """Return some rows."""
+        position = self.position[rows] if len(self.position) else self.position
+        return self._replace(x=self.x[rows], numbers=self.numbers[rows], position=position)
+
 
 def _data(context: Any, builder: Any, of: Any, array: Any) -> Any:
     # Imported here: importing this package should not load Numba's module about arrays.
@@ -322,9 +327,11 @@ def forward_rows(layers: Layers, weights: Padded, observed: NetworkInputs, rows:
                 h1[s * high + i] += layers.indicator[number, i]
     if inputs:
         for s in range(n):
+            # Over slices this is done by vectors, and the next row is fetched while one is on its way.
+            given, made = observed.x[rows[s]], x[s * wide : s * wide + inputs]
             for k in range(inputs):
-                value = (observed.x[rows[s], k] - observed.mean[k]) * observed.scale[k]
-                x[s * wide + k] = min(max(value, -_FARTHEST), _FARTHEST)
+                value = (given[k] - observed.mean[k]) * observed.scale[k]
+                made[k] = min(max(value, -_FARTHEST), _FARTHEST)
         x[n * wide : some * wide] = 0
         _product(h1, high, x, wide, 1, weights.first, high, some, high, inputs)
     width = layers.first.shape[0]

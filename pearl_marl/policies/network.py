@@ -19,10 +19,17 @@ from pearl_marl.policies import dense
 from pearl_marl.policies.convolution import SIDE, Planes, PlanesLayer, are_planes
 from pearl_marl.policies.convolution_vectors import FILTERS
 from pearl_marl.policies.memory import Memory, Recall
+from pearl_marl.policies.second_thread import over_rows
 from pearl_marl.spec import EnvSpec
 from pearl_marl.spec.elements import are_numbers, bounds
 
 _EMPTY = torch.empty(0, 1)
+
+SEEN_ROWS = 4096
+"""Observations that go into the statistics at a time: so few that they stay in the second cache."""
+
+SHARED_ROWS = 2048
+"""Rows from which on it pays that a second thread does as many."""
 
 SHARING = ("all", "indicator", "none")
 """Whether the agents of a world share a network: see :class:`NetworkPolicy`."""
@@ -121,16 +128,15 @@ class Encoder(nn.Module):
         """Take a batch of observations into the statistics."""
         if self.kind != "vector" or not len(obs):
             return
-        rows = self.whole(obs).reshape(len(obs), self.mean.numel()).double()
-        variance, mean = torch.var_mean(rows, 0, correction=0)
-        total = self.count + len(rows)
-        shift = mean - self.mean
-        squares = (
-            self.variance * self.count + variance * len(rows) + shift**2 * self.count * len(rows) / total
-        )
-        self.mean += shift * len(rows) / total
-        self.variance.copy_(squares / total)
-        self.count.copy_(total)
+        for some in torch.split(self.whole(obs).reshape(len(obs), self.mean.numel()), SEEN_ROWS):
+            rows = some.double()
+            mean = rows.mean(0)
+            total, shift = self.count + len(rows), mean - self.mean
+            squares = self.variance * self.count + (rows - mean).square().sum(0)
+            squares += shift**2 * self.count * len(rows) / total
+            self.mean += shift * len(rows) / total
+            self.variance.copy_(squares / total)
+            self.count.copy_(total)
 
     def whole(self, obs: Tensor) -> Tensor:
         """Return observations unpacked, if they are packed."""
@@ -301,7 +307,8 @@ class Network(nn.Module):
     def dense_outputs(self, observed: dense.NetworkInputs) -> Tensor:
         """Return the outputs, by compiled loops."""
         outputs = np.empty((len(observed.x), self.output.out_features), np.float32)
-        dense.forward()(self.layers(), observed, outputs)
+        layers, forward = self.layers(), dense.forward()
+        over_rows(len(outputs), SHARED_ROWS, lambda rows: forward(layers, observed.pick(rows), outputs[rows]))
         return torch.from_numpy(outputs)
 
 

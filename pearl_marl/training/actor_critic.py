@@ -91,6 +91,7 @@ class ActorCritic(nn.Module):
         super().__init__()
         self.continuous = isinstance(spec.action_space, Box)
         self.central = central
+        self.sharers = spec.agents if central else 1  # agents that the critic is given the same state for
         self.policy = NetworkPolicy(
             spec, "mean" if self.continuous else "logits", width, sharing, temperature, memory=memory
         )
@@ -141,6 +142,14 @@ class ActorCritic(nn.Module):
         else:
             values = self.critic(inputs.obs, inputs.position)
         return values[:, 0]
+
+    def values_of_all(self, inputs: Inputs) -> Tensor:
+        """Return the same for worlds with all their agents, one world after the other."""
+        if self.central:
+            assert inputs.state is not None
+            every: Tensor = self.critic(inputs.state[:: self.sharers])
+            return every.flatten()
+        return self.values(inputs)
 
     def forward(self, inputs: Inputs) -> tuple[Tensor, Tensor]:
         """Return the policy's outputs, and what the critic expects."""

@@ -85,68 +85,97 @@ def _ratio(log: float, samples: Samples, row: int, loss: Loss, figures: Array) -
 
 _ratio_of: Callable[..., float] = called(_ratio)
 
-At = tuple[int, int]
-"""Where a row's outputs begin, and how many they are."""
+
+class Scored(NamedTuple):
+    """Some rows' outputs, one after the other, and memory for what is made of them."""
+
+    outputs: Array
+    stride: int  # from a row to the next
+    n: int  # outputs of a row
+    greatest: Array  # room for one number of every row
+    logs: Array  # and for n
+    probabilities: Array
 
 
-def _score(outputs, at, samples, row, log_deviation, loss, figures) -> Any:  # type: ignore[no-untyped-def]
-    """Replace a row's outputs by gradients; return the gradient by the logarithm of the deviation."""
-    of_kind: Any = _choice if samples.actions.ndim == 1 else _numbers
-    return of_kind(outputs, at, samples, row, log_deviation, loss, figures)
+def _score(tile, samples, rows, log_deviation, loss, figures) -> Any:  # type: ignore[no-untyped-def]
+    """Replace outputs by gradients; return the gradient by the logarithm of the deviation."""
+    of_kind: Any = _choices if samples.actions.ndim == 1 else _numbers
+    return of_kind(tile, samples, rows, log_deviation, loss, figures)
 
 
 @overload(_score, jit_options=ARITHMETIC)
-def _score_of(outputs, at, samples, row, log_deviation, loss, figures) -> Any:  # type: ignore[no-untyped-def]
+def _score_of(tile, samples, rows, log_deviation, loss, figures) -> Any:  # type: ignore[no-untyped-def]
     actions = samples[0]  # types of Numba, whose tuples have no names
-    return _choice if actions.ndim == 1 else _numbers
+    return _choices if actions.ndim == 1 else _numbers
 
 
-def _choice(outputs, at, samples, row, log_deviation, loss, figures):  # type: ignore[no-untyped-def]
-    """Do so where outputs are the logits of actions, of which one was chosen."""
-    start, n = at
-    masks, action = samples.masks, samples.actions[row]
+def _choices(tile, samples, rows, log_deviation, loss, figures):  # type: ignore[no-untyped-def]
+    """Do so where outputs are the logits of actions, of which one was chosen.
+
+    Exponentials are found for all rows at once, by vectors.
+    """
+    outputs, stride, n, logs, probabilities = tile.outputs, tile.stride, tile.n, tile.logs, tile.probabilities
+    greatest = tile.greatest
+    first, count = rows
+    masks = samples.masks
     masked = len(masks) > 0
-    most = _MASKED
-    for k in range(n):
-        if masked and masks[row, k] == 0:
-            outputs[start + k] = _MASKED
-        most = max(most, outputs[start + k])
-    total = _NONE
-    for k in range(n):
-        total += exponential(outputs[start + k] - most)
-    log_total = most + np.log(total)
-    entropy = 0.0
-    for k in range(n):
-        if not (masked and masks[row, k] == 0):
-            log = outputs[start + k] - log_total
-            entropy -= exponential(log) * log
-    figures[2] += entropy
-    by = _ratio_of(outputs[start + action] - log_total, samples, row, loss, figures)
-    for k in range(n):
-        if masked and masks[row, k] == 0:
-            outputs[start + k] = 0
-            continue
-        log = outputs[start + k] - log_total
-        probability = exponential(log)
-        gradient = by * ((k == action) - probability) + loss.entropy * probability * (log + entropy)
-        outputs[start + k] = gradient * loss.share
+    for s in range(count):
+        start, most = s * stride, _MASKED
+        for k in range(n):
+            if masked and masks[first + s, k] == 0:
+                outputs[start + k] = _MASKED
+            most = max(most, outputs[start + k])
+        greatest[s] = most
+        for k in range(n):
+            logs[s * n + k] = outputs[start + k] - most
+    for i in range(count * n):
+        probabilities[i] = exponential(logs[i])
+    for s in range(count):
+        start, total = s * stride, _NONE
+        for k in range(n):
+            total += probabilities[s * n + k]
+        log_total = greatest[s] + np.log(total)
+        for k in range(n):
+            logs[s * n + k] = outputs[start + k] - log_total
+    for i in range(count * n):
+        probabilities[i] = exponential(logs[i])
+    for s in range(count):
+        row, start, entropy = first + s, s * stride, 0.0
+        for k in range(n):
+            if not (masked and masks[row, k] == 0):
+                entropy -= probabilities[s * n + k] * logs[s * n + k]
+        figures[2] += entropy
+        action = samples.actions[row]
+        by = _ratio_of(logs[s * n + action], samples, row, loss, figures)
+        for k in range(n):
+            if masked and masks[row, k] == 0:
+                outputs[start + k] = 0
+                continue
+            log, probability = logs[s * n + k], probabilities[s * n + k]
+            gradient = by * ((k == action) - probability) + loss.entropy * probability * (log + entropy)
+            outputs[start + k] = gradient * loss.share
     return 0.0
 
 
-def _numbers(outputs, at, samples, row, log_deviation, loss, figures):  # type: ignore[no-untyped-def]
+def _numbers(tile, samples, rows, log_deviation, loss, figures):  # type: ignore[no-untyped-def]
     """Do so where outputs are means of normal distributions, from which actions were drawn."""
-    start, n = at
-    actions, wide = samples.actions[row], log_deviation[0]
-    spread, log, squares = math.exp(wide), 0.0, 0.0
-    for k in range(n):
-        deviation = (actions[k] - outputs[start + k]) / spread
-        squares += deviation * deviation
-        log -= 0.5 * deviation * deviation + wide + _HALF_LOG_TURN
-    figures[2] += n * (0.5 + _HALF_LOG_TURN + wide)
-    by = _ratio_of(log, samples, row, loss, figures)
-    for k in range(n):
-        outputs[start + k] = by * loss.share * (actions[k] - outputs[start + k]) / (spread * spread)
-    return loss.share * (by * (squares - n) - loss.entropy * n)
+    outputs, stride, n = tile.outputs, tile.stride, tile.n
+    first, count = rows
+    wide, by_deviation = log_deviation[0], 0.0
+    spread = math.exp(wide)
+    for s in range(count):
+        start, actions = s * stride, samples.actions[first + s]
+        log = squares = 0.0
+        for k in range(n):
+            deviation = (actions[k] - outputs[start + k]) / spread
+            squares += deviation * deviation
+            log -= 0.5 * deviation * deviation + wide + _HALF_LOG_TURN
+        figures[2] += n * (0.5 + _HALF_LOG_TURN + wide)
+        by = _ratio_of(log, samples, first + s, loss, figures)
+        for k in range(n):
+            outputs[start + k] = by * loss.share * (actions[k] - outputs[start + k]) / (spread * spread)
+        by_deviation += loss.share * (by * (squares - n) - loss.entropy * n)
+    return by_deviation
 
 
 def _loss(advantages: Array, rows: Array, clip: float, entropy: float) -> Loss:
@@ -162,17 +191,40 @@ def _loss(advantages: Array, rows: Array, clip: float, entropy: float) -> Loss:
     return Loss(clip, entropy, 1 / n, mean, 1 / (math.sqrt(squares / (n - 1)) + 1e-8))
 
 
+@called
+def _gathered(samples: Samples, rows: Array) -> Samples:
+    """Return some rows, one after the other in memory: there, the loss need not wait for each."""
+    return Samples(
+        samples.actions[rows],
+        samples.masks[rows] if len(samples.masks) else samples.masks,
+        samples.column[rows] if len(samples.column) else samples.column,
+        samples.log_probs[rows],
+        samples.advantages[rows],
+        samples.returns[rows],
+    )
+
+
+@called
+def _room(outputs: Array, stride: int, n: int) -> Scored:
+    greatest, logs = np.empty(ROWS, np.float32), np.empty(ROWS * n, np.float32)
+    return Scored(outputs, stride, n, greatest, logs, np.empty_like(logs))
+
+
 def _gradients(
     weights: Weights,
     gradients: Weights,
     actor_inputs: NetworkInputs,
     critic_inputs: NetworkInputs,
+    sharers: int,
     samples: Samples,
     rows: Array,
     loss: Loss,
     figures: Array,
 ) -> None:
     """Compute the gradients of the loss of some rows of a minibatch.
+
+    The critic's inputs have a row for every ``sharers`` rows of the samples. It is asked once where rows that
+    share one follow each other.
 
     Into ``figures``, shape (4,), go the loss of the policy, that of the critic, the entropy, and the share of
     ratios that were clipped.
@@ -183,7 +235,8 @@ def _gradients(
     actor_tile, critic_tile = tile_of(actor), tile_of(critic)
     actor_sums, critic_sums = gradient_sums(gradients.actor), gradient_sums(gradients.critic)
     n_outputs, out, out_critic = len(actor.bias3), len(actor_weights.bias3), len(critic_weights.bias3)
-    by_deviation = 0.0
+    taken, score, by_deviation = _gathered(samples, rows), _room(actor_tile.outputs, out, n_outputs), 0.0
+    asked, answer, errors = np.empty(ROWS, np.int64), np.empty(ROWS, np.int64), np.empty(ROWS, np.float32)
     figures[:] = 0
     for first in range(0, n, ROWS):
         some = rows[first : first + ROWS]
@@ -192,22 +245,29 @@ def _gradients(
         for s in range(ROWS):
             for k in range(n_outputs if s < len(some) else 0, out):
                 outputs[s * out + k] = 0
-        for s in range(len(some)):
-            row, at = some[s], (s * out, n_outputs)
-            by_deviation += _score(outputs, at, samples, row, log_deviation, loss, figures)
+        by_deviation += _score(score, taken, (first, len(some)), log_deviation, loss, figures)
         backward_rows(actor, actor_weights, actor_inputs, some, actor_tile, actor_sums, gradients.actor)
-        forward_rows(critic, critic_weights, critic_inputs, some, critic_tile)
+        n_asked = 0
+        for s in range(len(some)):
+            shared = some[s] // sharers
+            if n_asked == 0 or asked[n_asked - 1] != shared:
+                asked[n_asked] = shared
+                n_asked += 1
+            answer[s] = (n_asked - 1) * out_critic
+            if len(taken.column):
+                answer[s] += taken.column[first + s]
+        of_critic = asked[:n_asked]
+        forward_rows(critic, critic_weights, critic_inputs, of_critic, critic_tile)
         outputs = critic_tile.outputs
         for s in range(len(some)):
-            row = some[s]
-            column = samples.column[row] if len(samples.column) else 0
-            error = outputs[s * out_critic + column] - samples.returns[row]
-            figures[1] += error * error
-            for k in range(out_critic):
-                outputs[s * out_critic + k] = 0
-            outputs[s * out_critic + column] = error * share
-        outputs[len(some) * out_critic :] = 0
-        backward_rows(critic, critic_weights, critic_inputs, some, critic_tile, critic_sums, gradients.critic)
+            errors[s] = outputs[answer[s]] - taken.returns[first + s]
+            figures[1] += errors[s] * errors[s]
+        outputs[:] = 0
+        for s in range(len(some)):
+            outputs[answer[s]] = errors[s] * share
+        backward_rows(
+            critic, critic_weights, critic_inputs, of_critic, critic_tile, critic_sums, gradients.critic
+        )
     store_gradients(actor_sums, gradients.actor)
     store_gradients(critic_sums, gradients.critic)
     if len(gradients.log_deviation):
@@ -229,17 +289,18 @@ def _shared_gradients(
     n, weights, tile, total = len(rows), padded(layers), tile_of(layers), gradient_sums(gradients)
     critic, out = len(layers.bias3) - 1, len(weights.bias3)
     outputs, none = tile.outputs, np.zeros(0, np.float32)
+    taken, score = _gathered(samples, rows), _room(outputs, out, critic)
     figures[:] = 0
     for first in range(0, n, ROWS):
         some = rows[first : first + ROWS]
         forward_rows(layers, weights, inputs, some, tile)
         for s in range(len(some)):
-            row, start = some[s], s * out
-            error = outputs[start + critic] - samples.returns[row]
+            row, start = first + s, s * out
+            error = outputs[start + critic] - taken.returns[row]
             figures[1] += error * error
-            _score(outputs, (start, critic), samples, row, none, loss, figures)
             outputs[start + critic] = error * loss.share
             outputs[start + critic + 1 : start + out] = 0
+        _score(score, taken, (first, len(some)), none, loss, figures)
         outputs[len(some) * out :] = 0
         backward_rows(layers, weights, inputs, some, tile, total, gradients)
     store_gradients(total, gradients)
@@ -298,9 +359,10 @@ class _SeparateLayers:
         self._weights = self.gradients(None)
         inputs = rollout.inputs
         critic_obs, critic_position = inputs.obs, inputs.position
+        self._sharers = model.sharers
         if model.central:
             assert inputs.state is not None
-            critic_obs, critic_position = inputs.state, None
+            critic_obs, critic_position = inputs.state[:: self._sharers], None
         observed = model.actor.observed(inputs.obs, inputs.position)
         self._inputs = observed, model.critic.observed(critic_obs, critic_position)
 
@@ -315,7 +377,8 @@ class _SeparateLayers:
     def __call__(self, loss: Loss, rows: Array, gradients: Weights) -> Array:
         """Write the gradients; return the losses."""
         figures = np.empty(4)
-        _gradients_of()(self._weights, gradients, *self._inputs, self._samples, rows, loss, figures)
+        given = *self._inputs, self._sharers, self._samples
+        _gradients_of()(self._weights, gradients, *given, rows, loss, figures)
         return figures
 
 

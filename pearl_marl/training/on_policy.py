@@ -154,7 +154,24 @@ class OnPolicyTrainer(Trainer):
         size: int = self.settings.minibatch
         return max(size // self.settings.chunk_length, 1) if self.policy.remembers else size
 
+    @property
+    def together(self) -> int:
+        """How many rows that follow each other are learned from together, as a critic's state is theirs."""
+        return 1
+
     def _minibatches(self, rows: Tensor) -> Iterator[Tensor]:
+        """Yield rows in random order, but for those that belong together."""
+        size = self.together
+        groups = rows // size
+        if size > 1:
+            groups = torch.unique_consecutive(groups)
+            learned = torch.zeros((int(groups[-1]) + 1) * size, dtype=torch.bool, device=self.where)
+            learned[rows] = True
         for _ in range(self.settings.epochs):
-            order = torch.randperm(len(rows), generator=self.random, device=self.where)
-            yield from torch.split(rows[order], self.minibatch)
+            order = torch.randperm(len(groups), generator=self.random, device=self.where)
+            for part in torch.split(groups[order], max(self.minibatch // size, 1)):
+                if size > 1:
+                    some = (part[:, None] * size + torch.arange(size, device=self.where)).flatten()
+                    yield some[learned[some]]
+                else:
+                    yield part

@@ -60,6 +60,11 @@ class PPO(OnPolicyTrainer):
     losses = ("policy_loss", "value_loss", "entropy", "clipped")
     max_grad_norm = 0.5
 
+    @property
+    def together(self) -> int:
+        """See :class:`OnPolicyTrainer`."""
+        return self.model.sharers if not self.policy.remembers else 1
+
     def made(self, spec: EnvSpec, settings: PPOSettings) -> ActorCritic:
         """Return the model that is learned."""
         return ActorCritic.of(spec, settings, self.central)

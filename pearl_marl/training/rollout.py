@@ -276,9 +276,9 @@ class RolloutWorker:
     def _values(self, inputs: Inputs, wanted: Tensor) -> Tensor:
         """Return what the critic expects where it is wanted, else 0; a row a step and a column an agent."""
         if len(self.blocks) == 1 and wanted.all():  # no need to look for rows, and to copy them
-            rows = inputs.flat()
-            parts = [rows.pick(slice(k, k + CRITIC_ROWS)) for k in range(0, len(rows.obs), CRITIC_ROWS)]
-            return torch.cat([self.model.values(part) for part in parts]).view(wanted.shape)
+            rows, size = inputs.flat(), CRITIC_ROWS // self.spec.agents * self.spec.agents
+            parts = [rows.pick(slice(k, k + size)) for k in range(0, len(rows.obs), size)]
+            return torch.cat([self.model.values_of_all(part) for part in parts]).view(wanted.shape)
         values = torch.zeros(wanted.shape, device=self.where)
         for block in self.blocks:
             steps, columns = wanted[:, block].nonzero(as_tuple=True)
