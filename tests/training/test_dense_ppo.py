@@ -78,6 +78,16 @@ def test_minibatches_of_any_size(n: int) -> None:
     torch.testing.assert_close(*compiled_and_wanted(trainer, samples, rows[:n]), rtol=1e-4, atol=2e-5)
 
 
+def test_rows_that_share_a_state() -> None:
+    """The critic is asked once for those that follow each other, of which here a world's first is missing."""
+    trainer, samples, _ = trainer_with_samples("mappo", "LevelBasedForaging")
+    agents = trainer.model.sharers
+    assert agents > 1
+    worlds = torch.randperm(len(samples.actions) // agents)[:ROWS]
+    rows = (worlds[:, None] * agents + torch.arange(agents)).flatten()[1:]
+    torch.testing.assert_close(*compiled_and_wanted(trainer, samples, rows), rtol=1e-4, atol=2e-5)
+
+
 def test_actions_that_were_not_allowed() -> None:
     trainer, samples, rows = trainer_with_samples("ppo", "LevelBasedForaging")
     masks = (torch.rand(len(samples.actions), trainer.model.policy.outputs) < 0.5).to(torch.int8)

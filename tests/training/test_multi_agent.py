@@ -199,6 +199,46 @@ def test_the_central_critic_learns() -> None:
     assert after["output.weight"].shape[0] == 2, "a value for each agent"
 
 
+@pytest.mark.parametrize("algorithm", ["ppo", "mappo"])
+def test_what_is_learned_from_comes_once_an_epoch(algorithm: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a central critic, in whole worlds, but for the rows of which nothing is learned."""
+    settings = training.settings_for(
+        algorithm,
+        "LevelBasedForaging",
+        {"n_agents": 64, "rollout_length": 4, "minibatch": 50, "epochs": 2},
+    )
+    trainer = training.ALGORITHMS[algorithm](get_spec("LevelBasedForaging"), "native", settings)
+    minibatches: list[torch.Tensor] = []
+
+    def gradients(rows: torch.Tensor) -> torch.Tensor:
+        minibatches.append(rows)
+        return torch.zeros(4)
+
+    monkeypatch.setattr(trainer, "gradients", lambda samples: gradients)
+    rows = torch.cat((torch.arange(1, 90), torch.arange(91, 256)))
+    trainer.learn(trainer.worker.gather(0).flat(), rows)
+    whole = torch.cat(minibatches)
+    for epoch in whole.view(2, -1):
+        assert torch.equal(epoch.sort().values, rows)
+        assert not torch.equal(epoch, rows)
+    assert max(map(len, minibatches)) == 50
+    if algorithm == "mappo":
+        agents = trainer.model.sharers
+        changes = int((whole[1:] // agents != whole[:-1] // agents).sum())
+        assert changes < 2 * 256 // agents, "a world's rows follow each other"
+
+
+def test_values_of_whole_worlds_are_those_of_their_agents() -> None:
+    for algorithm in ("ppo", "mappo"):
+        settings = training.settings_for(
+            algorithm, "LevelBasedForaging", {"n_agents": 64, "rollout_length": 4}
+        )
+        trainer = training.ALGORITHMS[algorithm](get_spec("LevelBasedForaging"), "native", settings)
+        inputs = trainer.worker.gather(0).flat().inputs
+        with torch.no_grad():
+            assert torch.equal(trainer.model.values_of_all(inputs), trainer.model.values(inputs))
+
+
 def test_a_step_of_which_the_state_is_not_known_is_not_learned_from() -> None:
     """At a time limit the next state is that of another episode, which must not get into the advantages."""
     given = {**SMALL, "n_agents": 200, "rollout_length": 20, "discount": 0.9, "gae_lambda": 0.0}
