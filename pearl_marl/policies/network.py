@@ -25,8 +25,8 @@ from pearl_marl.spec.elements import are_numbers, bounds
 
 _EMPTY = torch.empty(0, 1)
 
-SEEN_ROWS = 4096
-"""Observations that go into the statistics at a time: so few that they stay in the second cache."""
+SEEN_NUMBERS = 1 << 17
+"""Numbers that go into the statistics at a time: so few that they stay in the second cache."""
 
 SHARED_ROWS = 2048
 """Rows from which on it pays that a second thread does as many."""
@@ -128,11 +128,12 @@ class Encoder(nn.Module):
         """Take a batch of observations into the statistics."""
         if self.kind != "vector" or not len(obs):
             return
-        for some in torch.split(self.whole(obs).reshape(len(obs), self.mean.numel()), SEEN_ROWS):
-            rows = some.double()
+        size = self.mean.numel()
+        for some in torch.split(self.whole(obs).reshape(len(obs), size), max(SEEN_NUMBERS // size, 1)):
+            rows = some.to(torch.float64, copy=True)
             mean = rows.mean(0)
             total, shift = self.count + len(rows), mean - self.mean
-            squares = self.variance * self.count + (rows - mean).square().sum(0)
+            squares = self.variance * self.count + rows.sub_(mean).square_().sum(0)
             squares += shift**2 * self.count * len(rows) / total
             self.mean += shift * len(rows) / total
             self.variance.copy_(squares / total)

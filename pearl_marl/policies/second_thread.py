@@ -1,4 +1,4 @@
-"""A second thread for compiled loops over many rows, each of which is on its own."""
+"""A second thread: for half of what compiled loops do row by row, and for what can be done ahead."""
 
 from __future__ import annotations
 
@@ -6,13 +6,16 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from typing import TypeVar
 
 import torch
+
+from pearl_marl.devices.threads import cores
 
 
 @cache
 def _helper() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(1, "pearl-rows")
+    return ThreadPoolExecutor(1, "pearl-second", torch.set_num_threads, (1,))
 
 
 if hasattr(os, "register_at_fork"):
@@ -30,3 +33,15 @@ def over_rows(n: int, least: int, work: Callable[[slice], None]) -> None:
     other = _helper().submit(work, slice(n // 2, n))
     work(slice(0, n // 2))
     other.result()
+
+
+T = TypeVar("T")
+
+
+def begun(work: Callable[[], T]) -> Callable[[], T]:
+    """Have ``work`` done meanwhile, if there is a core for it; return a function that returns its result."""
+    if cores() == 1:
+        return work
+    process, result = os.getpid(), _helper().submit(work)
+    # A forked process has no such thread: it does the work itself.
+    return lambda: result.result() if os.getpid() == process else work()

@@ -182,7 +182,7 @@ class ActorCritic(nn.Module):
         noise = torch.empty(shape, device=random.device)
         if self.continuous:
             return noise.normal_(generator=random)
-        return -noise.exponential_(generator=random).log_()
+        return noise.exponential_(generator=random).log_().neg_()
 
     def draw(self, outputs: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
         """Return actions of the policy's probabilities, and as the environment takes them."""

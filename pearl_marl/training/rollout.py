@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -17,6 +18,7 @@ from torch import Tensor
 from pearl_marl.devices import Device
 from pearl_marl.policies.dense_policy import DenseNetwork
 from pearl_marl.policies.network import MASKED
+from pearl_marl.policies.second_thread import begun
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.actor_critic import Inputs
 from pearl_marl.training.agents import Agents, acting, team_rewards
@@ -101,13 +103,16 @@ class RolloutWorker:
         self.where = self.agents.obs.device
         # What the critic expects of each step so far, if decide() finds that, too; see RolloutSteps.values.
         self.expects: list[Tensor] = []
+        self._alone = blocks is None
+        # The number of the rollout whose noise has been begun, and what returns that.
+        self._ahead: tuple[int | None, Callable[[], Tensor] | None] = None, None
 
     @torch.no_grad()
     def gather(self, rollout: int) -> RolloutBuffer:
         """Step all agents ``rollout_length`` times; return the rollout of that number."""
         settings, model, steps = self.settings, self.model, self.settings.rollout_length
         self.expects.clear()
-        noise, network = self._noise(rollout), self.network_beside()
+        noise, network = self._noise_of(rollout), self.network_beside()
         done = self._one_by_one(noise) if network is None else self._at_once(network, noise)
         inputs, final_obs, outputs, chosen, rewards, terminations, truncations, decides, alive, _ = done
         log_probs = model.log_probs(outputs, chosen)
@@ -133,6 +138,9 @@ class RolloutWorker:
         advantages, mask = estimated_advantages(trajectories, settings.discount, settings.gae_lambda)
         mask &= decides[:-1]
         inputs = inputs.pick(slice(0, -1))
+        # Noise depends on no weights: a second thread makes it while this one learns.
+        if self._alone and self.where.type == "cpu" and rollout + 1 < settings.iterations:
+            self._ahead = rollout + 1, begun(partial(self._noise, rollout + 1))
         return RolloutBuffer(
             inputs, chosen, log_probs, advantages, advantages + values[:-1], mask, rewards, ended
         )
@@ -233,6 +241,12 @@ class RolloutWorker:
             outputs, values = self.model(inputs)
             return outputs, values
         return self.model.outputs(inputs), torch.zeros(len(inputs.obs), device=self.where)
+
+    def _noise_of(self, rollout: int) -> Tensor:
+        """Return the noise of a rollout, if that has been begun, or else make it."""
+        number, made = self._ahead
+        self._ahead = None, None
+        return made() if made is not None and number == rollout else self._noise(rollout)
 
     def _noise(self, rollout: int) -> Tensor:
         """Return the noise that makes the rollout's actions random."""

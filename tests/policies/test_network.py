@@ -45,7 +45,7 @@ def test_a_fault_in_either_half_is_raised() -> None:
 
 
 def test_statistics_are_those_of_all_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(network, "SEEN_ROWS", 7)
+    monkeypatch.setattr(network, "SEEN_NUMBERS", 30)
     encoder = made("CartPole").encoder
     obs = 5 + 3 * torch.randn(100, 4)
     encoder.see(obs[:40])
