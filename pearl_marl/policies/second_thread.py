@@ -10,8 +10,6 @@ from typing import TypeVar
 
 import torch
 
-from pearl_marl.devices.threads import cores
-
 
 @cache
 def _helper() -> ThreadPoolExecutor:
@@ -39,9 +37,7 @@ T = TypeVar("T")
 
 
 def begun(work: Callable[[], T]) -> Callable[[], T]:
-    """Have ``work`` done meanwhile, if there is a core for it; return a function that returns its result."""
-    if cores() == 1:
-        return work
+    """Have ``work`` done meanwhile; return a function that returns its result."""
     process, result = os.getpid(), _helper().submit(work)
     # A forked process has no such thread: it does the work itself.
     return lambda: result.result() if os.getpid() == process else work()

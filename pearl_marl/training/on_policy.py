@@ -165,13 +165,13 @@ class OnPolicyTrainer(Trainer):
         groups = rows // size
         if size > 1:
             groups = torch.unique_consecutive(groups)
-            learned = torch.zeros((int(groups[-1]) + 1) * size, dtype=torch.bool, device=self.where)
-            learned[rows] = True
+            taken = torch.zeros((int(groups[-1]) + 1) * size, dtype=torch.bool, device=self.where)
+            taken[rows] = True
         for _ in range(self.settings.epochs):
             order = torch.randperm(len(groups), generator=self.random, device=self.where)
-            for part in torch.split(groups[order], max(self.minibatch // size, 1)):
+            for picked in torch.split(groups[order], max(self.minibatch // size, 1)):
                 if size > 1:
-                    some = (part[:, None] * size + torch.arange(size, device=self.where)).flatten()
-                    yield some[learned[some]]
+                    some = (picked[:, None] * size + torch.arange(size, device=self.where)).flatten()
+                    yield some[taken[some]]
                 else:
-                    yield part
+                    yield picked

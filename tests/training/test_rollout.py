@@ -132,6 +132,29 @@ def test_steps_beside_the_environments_are_those_one_by_one(
         assert torch.equal(getattr(beside, attribute), getattr(alone, attribute))
 
 
+@pytest.mark.parametrize("name", ["CartPole", "Pendulum"])
+def test_noise_that_was_begun_is_that_of_its_rollout(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is made anew where another rollout follows."""
+    settings = run.settings_for("ppo", name, {"n_agents": 8, "rollout_length": 4, "iterations": 9})
+    made: list[int] = []
+    noise = rollout.RolloutWorker._noise
+
+    def noted(worker: Any, number: int) -> Any:
+        made.append(number)
+        return noise(worker, number)
+
+    monkeypatch.setattr(rollout.RolloutWorker, "_noise", noted)
+    actions = []
+    for begins in (True, False):
+        if not begins:
+            monkeypatch.setattr(rollout, "begun", lambda work: work)
+        worker = run.ALGORITHMS["ppo"](get_spec(name), "native", settings).worker
+        actions.append([worker.gather(k).actions for k in (0, 1, 5, 8)])
+    assert made.count(0) == made.count(1) == made.count(5) == made.count(8) == 2, made
+    for one, other in zip(*actions, strict=True):
+        assert torch.equal(one, other)
+
+
 def test_a_failed_rollout_leaves_the_agents_where_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = run.settings_for("ppo", "CartPole", {"n_agents": 8, "rollout_length": 50})
     worker = run.Training("CartPole", "ppo", settings).trainer(None).worker
