@@ -94,7 +94,7 @@ def picture_tasks(env_id: str, goal: float, seconds: float, brief_seconds: float
 
 
 TASKS = (
-    TrainingTask("PPO CartPole", "ppo", "CartPole", 475.0, least=20),
+    TrainingTask("PPO CartPole", "ppo", "CartPole", 475.0, least=60),
     TrainingTask("PPO MountainCar", "ppo", "MountainCar", -115.0, least=10),
     TrainingTask("PPO FrozenLake", "ppo", "FrozenLake", 0.70, least=10),
     *picture_tasks("Seaquest", 20.4, seconds=240.0, brief_seconds=20.0),
@@ -103,7 +103,7 @@ TASKS = (
     *picture_tasks("Breakout", 10.3, seconds=90.0, brief_seconds=0.0),
     *picture_tasks("Freeway", 20.0, seconds=120.0, brief_seconds=0.0),
     *picture_tasks("SpaceInvaders", 45.1, seconds=150.0, brief_seconds=0.0),
-    TrainingTask("PQN CartPole", "pqn", "CartPole", 475.0, least=20),
+    TrainingTask("PQN CartPole", "pqn", "CartPole", 475.0, least=60),
     TrainingTask("PQN MountainCar", "pqn", "MountainCar", -115.0, least=10),
     TrainingTask("DQN CartPole", "dqn", "CartPole", 475.0, least=200, every=20),
     TrainingTask(

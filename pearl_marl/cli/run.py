@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,7 +14,6 @@ import typer
 from rich.table import Table
 
 from pearl_marl.base.arrays import load_array
-from pearl_marl.batch.actions import random_actions
 from pearl_marl.batch.step import on_host
 from pearl_marl.benchmark.tables import duration, rate
 from pearl_marl.cli import common
@@ -22,8 +21,10 @@ from pearl_marl.cli.common import console, error_console
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation.episodes import EpisodeStatistics
 from pearl_marl.evaluation.machine import machine
+from pearl_marl.evaluation.run import acting
 from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
 from pearl_marl.policies.device_policy import DevicePolicy
+from pearl_marl.policies.loading import Policy, forget, load_policy, random_policy
 from pearl_marl.rendering import VIDEO_STEPS, VIDEO_WORLDS, HeatMap, Video
 from pearl_marl.spec import MAX_CYCLES, EnvSpec
 
@@ -46,7 +47,11 @@ VideoFile = Annotated[
 ]
 PolicyName = Annotated[
     str | None,
-    common.device_policy_option("A policy that acts in a rollout, instead of random actions."),
+    typer.Option(
+        "--policy",
+        help="A policy that acts, instead of random actions: what `pearl eval --policy` takes. One in integers, "
+        "or a GoldenPolicy, acts in a rollout.",
+    ),
 ]
 MaxCycles = Annotated[
     int | None,
@@ -71,13 +76,13 @@ def command(
     """Step every agent with random (or given) actions, or a policy's: throughput and episode statistics."""
     spec = common.spec_of(env_id, option)
     n_agents = common.agents_of(spec, n_agents)
-    acting = common.device_policy(policy, spec)
-    if acting is not None:
-        if actions is not None or video is not None:
-            raise ArgumentError("--policy acts in a rollout, in one call: leave out --actions and --video")
+    if policy is not None and actions is not None:
+        raise ArgumentError("--policy and --actions both say what agents do: leave one of them out")
+    player = None if policy is None else load_policy(policy, spec, seed)
+    if isinstance(player, DevicePolicy) and video is None:
         common.check_results(out, "run.json")
         env = parallel_env(env_id, n_agents, device=device, max_cycles=max_cycles, **spec.options)
-        result = _rolled_out(env, acting, str(policy), steps, seed, device)
+        result = _rolled_out(env, player, str(policy), steps, seed, device)
         if not common.delivered(result, as_json, out, "run.json"):
             console.print(_table(result))
         return
@@ -94,15 +99,23 @@ def command(
         env = parallel_env(env_id, n_agents, device=device, max_cycles=max_cycles, copy=False, **spec.options)
         closing.enter_context(contextlib.closing(env))
         statistics = EpisodeStatistics(n_agents)
-        env.reset_batch(seed)
-        batches = given or _random(env, steps, seed)
-        for batch in common.progress(batches, steps, f"{spec.name}, {n_agents:,} agents"):
+        observed = env.reset_batch(seed)
+        chooses = _chooser(env, player, given, seed)
+        present = np.ones(n_agents, np.bool_)
+        for _ in common.progress(range(steps), steps, f"{spec.name}, {n_agents:,} agents"):
             if film is not None and len(stepping) < VIDEO_STEPS:
                 film.add(env.state())
+            batch = chooses(observed)
             began = time.perf_counter()
             step = env.step_batch(batch)
             stepping.append(time.perf_counter() - began)
             statistics.add(step)
+            observed = step.obs
+            if player is not None:
+                on = step.on_host()
+                # An agent that has ended before its world may have had steps of no episode since.
+                forget(player, on.ended | ~present)
+                present = on.in_episode.copy()
             if heat_map is not None:
                 heat_map.add(step)
         if film is not None:
@@ -117,6 +130,7 @@ def command(
         "options": dict(spec.options),
         "device": device,
         "simulated": common.simulated(device),
+        **({} if policy is None else {"policy": policy}),
         "n_agents": n_agents,
         "steps": steps,
         "seed": seed,
@@ -188,12 +202,24 @@ def _rolled_out(
     }
 
 
-def _random(env: PearlParallelEnv, steps: int, seed: int) -> Iterator[npt.NDArray[Any]]:
-    """Yield random actions, of those that agents may take."""
-    rng = np.random.default_rng(seed)
-    for _ in range(steps):
+def _chooser(
+    env: PearlParallelEnv,
+    policy: Policy | DevicePolicy | None,
+    given: Iterator[npt.NDArray[Any]] | None,
+    seed: int,
+) -> Callable[[Any], npt.NDArray[Any]]:
+    """Return a function from observations to the next actions: a policy's, the given ones, or random ones."""
+    if given is not None:
+        return lambda _: next(given)
+    chooses = random_policy(env.spec, seed) if policy is None else acting(policy, lambda: env.device)
+
+    def choose(observed: Any) -> npt.NDArray[Any]:
         masks = env.action_masks
-        yield random_actions(env.spec, rng, env.batch_size, None if masks is None else on_host(masks))
+        arguments = (observed,) if masks is None else (observed, masks)
+        actions: npt.NDArray[Any] = chooses(*map(on_host, arguments))
+        return actions
+
+    return choose
 
 
 def _read_actions(path: Path, spec: EnvSpec, n: int, steps: int) -> Iterator[npt.NDArray[Any]]:

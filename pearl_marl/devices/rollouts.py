@@ -172,7 +172,7 @@ class Record(NamedTuple):
         observations = np.empty((steps + 1, agents, *spec.observation_shape), spec.observation_dtype)
         observations_of(spec, self.observations, observations[:-1])
         observations[-1] = last.obs
-        # Of zeros that nothing is written to, nothing is ever fetched; np.zeros_like() would write them.
+        # np.zeros() takes memory that the system clears when it is first used; np.zeros_like() writes all of it.
         final = np.zeros((steps, agents, *spec.observation_shape), spec.observation_dtype)
         final[cut] = observations_of(spec, self.final[cut])
         masks = None if last.action_masks is None else np.concatenate([self.masks, last.action_masks[None]])
@@ -192,7 +192,7 @@ class Record(NamedTuple):
 def observations_of(spec: EnvSpec, elements: Array, out: Array | None = None) -> Array:
     """Return elements of :func:`recorded_form`, shape ``(..., elements)``, as an environment gives them.
 
-    ``out``, if given, is where they are written, and returned.
+    ``out``, if given, is an array in C order, to which they are written, and which is returned.
     """
     dtype = spec.observation_dtype
     if dtype == np.bool_:

@@ -26,10 +26,10 @@ from pearl_marl.spec.elements import are_numbers, bounds
 _EMPTY = torch.empty(0, 1)
 
 SEEN_NUMBERS = 1 << 17
-"""Numbers that go into the statistics at a time: so few that they stay in the second cache."""
+"""Numbers that go into the statistics at a time on a CPU, so that they stay in a cache."""
 
 SHARED_ROWS = 2048
-"""Rows from which on it pays that a second thread does as many."""
+"""A second thread helps if each thread has at least so many rows."""
 
 SHARING = ("all", "indicator", "none")
 """Whether the agents of a world share a network: see :class:`NetworkPolicy`."""
@@ -129,7 +129,8 @@ class Encoder(nn.Module):
         if self.kind != "vector" or not len(obs):
             return
         size = self.mean.numel()
-        for some in torch.split(self.whole(obs).reshape(len(obs), size), max(SEEN_NUMBERS // size, 1)):
+        at_a_time = len(obs) if obs.is_cuda else max(SEEN_NUMBERS // size, 1)
+        for some in torch.split(self.whole(obs).reshape(len(obs), size), at_a_time):
             rows = some.to(torch.float64, copy=True)
             mean = rows.mean(0)
             total, shift = self.count + len(rows), mean - self.mean

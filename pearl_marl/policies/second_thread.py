@@ -12,23 +12,24 @@ import torch
 
 
 @cache
-def _helper() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(1, "pearl-second", torch.set_num_threads, (1,))
+def _thread(use: str) -> ThreadPoolExecutor:
+    """Return the second thread for a use; each has its own, so that none waits for another."""
+    return ThreadPoolExecutor(1, f"pearl-{use}", torch.set_num_threads, (1,))
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_helper.cache_clear)  # the thread stays behind
+    os.register_at_fork(after_in_child=_thread.cache_clear)  # threads stay behind
 
 
 def over_rows(n: int, least: int, work: Callable[[slice], None]) -> None:
     """Have ``work`` called for ``n`` rows: for halves of at least so many, where PyTorch has a second thread.
 
-    It must release Python's lock for most of its time.
+    ``work`` must release Python's lock for most of its time.
     """
     if n < 2 * least or torch.get_num_threads() == 1:
         work(slice(0, n))
         return
-    other = _helper().submit(work, slice(n // 2, n))
+    other = _thread("rows").submit(work, slice(n // 2, n))
     work(slice(0, n // 2))
     other.result()
 
@@ -38,6 +39,6 @@ T = TypeVar("T")
 
 def begun(work: Callable[[], T]) -> Callable[[], T]:
     """Have ``work`` done meanwhile; return a function that returns its result."""
-    process, result = os.getpid(), _helper().submit(work)
+    process, result = os.getpid(), _thread("ahead").submit(work)
     # A forked process has no such thread: it does the work itself.
     return lambda: result.result() if os.getpid() == process else work()

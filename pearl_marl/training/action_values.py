@@ -67,7 +67,7 @@ class ActionValues(nn.Module):
         """Return the values of the best actions, shape ``(batch,)``."""
         return self.outputs(inputs).amax(-1)
 
-    values_of_all = values  # see ActorCritic; no state stands for several of them
+    values_of_all = values  # see ActorCritic; no critic is given states here
 
     def forward(self, inputs: Inputs) -> tuple[Tensor, Tensor]:
         """Return the action values, and those of the best actions."""

@@ -91,7 +91,7 @@ class ActorCritic(nn.Module):
         super().__init__()
         self.continuous = isinstance(spec.action_space, Box)
         self.central = central
-        self.sharers = spec.agents if central else 1  # agents that the critic is given the same state for
+        self.agents_per_state = spec.agents if central else 1  # which the critic is given
         self.policy = NetworkPolicy(
             spec, "mean" if self.continuous else "logits", width, sharing, temperature, memory=memory
         )
@@ -147,7 +147,7 @@ class ActorCritic(nn.Module):
         """Return the same for worlds with all their agents, one world after the other."""
         if self.central:
             assert inputs.state is not None
-            every: Tensor = self.critic(inputs.state[:: self.sharers])
+            every: Tensor = self.critic(inputs.state[:: self.agents_per_state])
             return every.flatten()
         return self.values(inputs)
 

@@ -92,30 +92,29 @@ class Scored(NamedTuple):
     outputs: Array
     stride: int  # from a row to the next
     n: int  # outputs of a row
-    greatest: Array  # room for one number of every row
-    logs: Array  # and for n
+    greatest: Array  # memory for a number of each row
+    logs: Array  # memory for n numbers of each row; as has the next
     probabilities: Array
 
 
-def _score(tile, samples, rows, log_deviation, loss, figures) -> Any:  # type: ignore[no-untyped-def]
+def _score(scored, samples, rows, log_deviation, loss, figures) -> Any:  # type: ignore[no-untyped-def]
     """Replace outputs by gradients; return the gradient by the logarithm of the deviation."""
     of_kind: Any = _choices if samples.actions.ndim == 1 else _numbers
-    return of_kind(tile, samples, rows, log_deviation, loss, figures)
+    return of_kind(scored, samples, rows, log_deviation, loss, figures)
 
 
 @overload(_score, jit_options=ARITHMETIC)
-def _score_of(tile, samples, rows, log_deviation, loss, figures) -> Any:  # type: ignore[no-untyped-def]
+def _score_of(scored, samples, rows, log_deviation, loss, figures) -> Any:  # type: ignore[no-untyped-def]
     actions = samples[0]  # types of Numba, whose tuples have no names
     return _choices if actions.ndim == 1 else _numbers
 
 
-def _choices(tile, samples, rows, log_deviation, loss, figures):  # type: ignore[no-untyped-def]
+def _choices(scored, samples, rows, log_deviation, loss, figures):  # type: ignore[no-untyped-def]
     """Do so where outputs are the logits of actions, of which one was chosen.
 
     Exponentials are found for all rows at once, by vectors.
     """
-    outputs, stride, n, logs, probabilities = tile.outputs, tile.stride, tile.n, tile.logs, tile.probabilities
-    greatest = tile.greatest
+    outputs, stride, n, greatest, logs, probabilities = scored
     first, count = rows
     masks = samples.masks
     masked = len(masks) > 0
@@ -157,9 +156,9 @@ def _choices(tile, samples, rows, log_deviation, loss, figures):  # type: ignore
     return 0.0
 
 
-def _numbers(tile, samples, rows, log_deviation, loss, figures):  # type: ignore[no-untyped-def]
+def _numbers(scored, samples, rows, log_deviation, loss, figures):  # type: ignore[no-untyped-def]
     """Do so where outputs are means of normal distributions, from which actions were drawn."""
-    outputs, stride, n = tile.outputs, tile.stride, tile.n
+    outputs, stride, n, _, _, _ = scored
     first, count = rows
     wide, by_deviation = log_deviation[0], 0.0
     spread = math.exp(wide)
@@ -206,6 +205,7 @@ def _gathered(samples: Samples, rows: Array) -> Samples:
 
 @called
 def _room(outputs: Array, stride: int, n: int) -> Scored:
+    """Return outputs with the memory that their loss needs."""
     greatest, logs = np.empty(ROWS, np.float32), np.empty(ROWS * n, np.float32)
     return Scored(outputs, stride, n, greatest, logs, np.empty_like(logs))
 
@@ -215,7 +215,7 @@ def _gradients(
     gradients: Weights,
     actor_inputs: NetworkInputs,
     critic_inputs: NetworkInputs,
-    sharers: int,
+    agents_per_state: int,
     samples: Samples,
     rows: Array,
     loss: Loss,
@@ -223,8 +223,8 @@ def _gradients(
 ) -> None:
     """Compute the gradients of the loss of some rows of a minibatch.
 
-    The critic's inputs have a row for every ``sharers`` rows of the samples. It is asked once where rows that
-    share one follow each other.
+    The critic's inputs have a row for each state, which so many rows of the samples share. It is asked once
+    where these follow each other.
 
     Into ``figures``, shape (4,), go the loss of the policy, that of the critic, the entropy, and the share of
     ratios that were clipped.
@@ -249,9 +249,9 @@ def _gradients(
         backward_rows(actor, actor_weights, actor_inputs, some, actor_tile, actor_sums, gradients.actor)
         n_asked = 0
         for s in range(len(some)):
-            shared = some[s] // sharers
-            if n_asked == 0 or asked[n_asked - 1] != shared:
-                asked[n_asked] = shared
+            state = some[s] // agents_per_state
+            if n_asked == 0 or asked[n_asked - 1] != state:
+                asked[n_asked] = state
                 n_asked += 1
             answer[s] = (n_asked - 1) * out_critic
             if len(taken.column):
@@ -264,7 +264,7 @@ def _gradients(
             figures[1] += errors[s] * errors[s]
         outputs[:] = 0
         for s in range(len(some)):
-            outputs[answer[s]] = errors[s] * share
+            outputs[answer[s]] += errors[s] * share
         backward_rows(
             critic, critic_weights, critic_inputs, of_critic, critic_tile, critic_sums, gradients.critic
         )
@@ -359,10 +359,10 @@ class _SeparateLayers:
         self._weights = self.gradients(None)
         inputs = rollout.inputs
         critic_obs, critic_position = inputs.obs, inputs.position
-        self._sharers = model.sharers
+        self._agents_per_state = model.agents_per_state
         if model.central:
             assert inputs.state is not None
-            critic_obs, critic_position = inputs.state[:: self._sharers], None
+            critic_obs, critic_position = inputs.state[:: self._agents_per_state], None
         observed = model.actor.observed(inputs.obs, inputs.position)
         self._inputs = observed, model.critic.observed(critic_obs, critic_position)
 
@@ -377,7 +377,7 @@ class _SeparateLayers:
     def __call__(self, loss: Loss, rows: Array, gradients: Weights) -> Array:
         """Write the gradients; return the losses."""
         figures = np.empty(4)
-        given = *self._inputs, self._sharers, self._samples
+        given = *self._inputs, self._agents_per_state, self._samples
         _gradients_of()(self._weights, gradients, *given, rows, loss, figures)
         return figures
 

@@ -47,9 +47,10 @@ class OnPolicyTrainer(Trainer):
     def __init__(self, spec: EnvSpec, device: Any, settings: Any, shards: int | None = None) -> None:
         torch.manual_seed(settings.seed)
         self.model = self.made(spec, settings)
-        # Of every step at least an observation, and six numbers more; memories of every chunk.
+        # Of every step at least an observation, six numbers more, and the next rollout's noise; memories of
+        # every chunk.
         rows = settings.n_agents * settings.rollout_length
-        others, names = 6 * 4 * rows, ["n_agents", "rollout_length"]
+        others, names = (6 + self.model.policy.outputs) * 4 * rows, ["n_agents", "rollout_length"]
         if self.model.policy.remembers:
             others += 4 * self.model.memory_size * rows // settings.chunk_length
             names += ["width", "chunk_length"]
@@ -61,7 +62,9 @@ class OnPolicyTrainer(Trainer):
             gathers = self.remembering if self.model.policy.remembers else self.gathers
             self.worker = gathers(spec, device, settings, self.model)
             agents = self.worker.agents
+            self.begins_noise = self.worker.where.type == "cpu"
         else:
+            self.begins_noise = False
             agents = self.worker = RayWorkers(spec, device, settings, self.model, shards)
         super().__init__(settings, agents, self.worker.where)
         self.steps_per_iteration = settings.rollout_length
@@ -106,6 +109,8 @@ class OnPolicyTrainer(Trainer):
     def update(self) -> None:
         """Gather a rollout and learn from it."""
         rollout = self.worker.gather(self.done)
+        if self.begins_noise and self.threads > 1 and self.done + 1 < self.settings.iterations:
+            self.worker.begin_noise(self.done + 1)
         self.count(rollout)
         samples = rollout.flat()
         rows = samples.loss_mask.nonzero()[:, 0]
@@ -156,11 +161,11 @@ class OnPolicyTrainer(Trainer):
 
     @property
     def together(self) -> int:
-        """How many rows that follow each other are learned from together, as a critic's state is theirs."""
+        """How many neighbouring rows share a state; minibatches keep them together."""
         return 1
 
     def _minibatches(self, rows: Tensor) -> Iterator[Tensor]:
-        """Yield rows in random order, but for those that belong together."""
+        """Yield rows in random order; those of a world's step follow each other."""
         size = self.together
         groups = rows // size
         if size > 1:
@@ -169,7 +174,7 @@ class OnPolicyTrainer(Trainer):
             taken[rows] = True
         for _ in range(self.settings.epochs):
             order = torch.randperm(len(groups), generator=self.random, device=self.where)
-            for picked in torch.split(groups[order], max(self.minibatch // size, 1)):
+            for picked in torch.split(groups[order], max(self.minibatch * len(groups) // len(rows), 1)):
                 if size > 1:
                     some = (picked[:, None] * size + torch.arange(size, device=self.where)).flatten()
                     yield some[taken[some]]

@@ -63,7 +63,9 @@ class PPO(OnPolicyTrainer):
     @property
     def together(self) -> int:
         """See :class:`OnPolicyTrainer`."""
-        return self.model.sharers if not self.policy.remembers else 1
+        # In games of turns, only one agent of a world learns from a step.
+        apart = self.policy.remembers or self.policy.spec.turns
+        return 1 if apart else self.model.agents_per_state
 
     def made(self, spec: EnvSpec, settings: PPOSettings) -> ActorCritic:
         """Return the model that is learned."""

@@ -103,16 +103,15 @@ class RolloutWorker:
         self.where = self.agents.obs.device
         # What the critic expects of each step so far, if decide() finds that, too; see RolloutSteps.values.
         self.expects: list[Tensor] = []
-        self._alone = blocks is None
-        # The number of the rollout whose noise has been begun, and what returns that.
-        self._ahead: tuple[int | None, Callable[[], Tensor] | None] = None, None
+        # The rollout whose noise has been begun, and the function that returns this noise.
+        self._begun: tuple[int, Callable[[], Tensor]] | None = None
 
     @torch.no_grad()
     def gather(self, rollout: int) -> RolloutBuffer:
         """Step all agents ``rollout_length`` times; return the rollout of that number."""
         settings, model, steps = self.settings, self.model, self.settings.rollout_length
         self.expects.clear()
-        noise, network = self._noise_of(rollout), self.network_beside()
+        noise, network = self._noise(rollout), self.network_beside()
         done = self._one_by_one(noise) if network is None else self._at_once(network, noise)
         inputs, final_obs, outputs, chosen, rewards, terminations, truncations, decides, alive, _ = done
         log_probs = model.log_probs(outputs, chosen)
@@ -138,9 +137,6 @@ class RolloutWorker:
         advantages, mask = estimated_advantages(trajectories, settings.discount, settings.gae_lambda)
         mask &= decides[:-1]
         inputs = inputs.pick(slice(0, -1))
-        # Noise depends on no weights: a second thread makes it while this one learns.
-        if self._alone and self.where.type == "cpu" and rollout + 1 < settings.iterations:
-            self._ahead = rollout + 1, begun(partial(self._noise, rollout + 1))
         return RolloutBuffer(
             inputs, chosen, log_probs, advantages, advantages + values[:-1], mask, rewards, ended
         )
@@ -242,14 +238,18 @@ class RolloutWorker:
             return outputs, values
         return self.model.outputs(inputs), torch.zeros(len(inputs.obs), device=self.where)
 
-    def _noise_of(self, rollout: int) -> Tensor:
-        """Return the noise of a rollout, if that has been begun, or else make it."""
-        number, made = self._ahead
-        self._ahead = None, None
-        return made() if made is not None and number == rollout else self._noise(rollout)
+    def begin_noise(self, rollout: int) -> None:
+        """Have a second thread make the noise of a rollout that comes next: it depends on no weights."""
+        self._begun = rollout, begun(partial(self._made_noise, rollout))
 
     def _noise(self, rollout: int) -> Tensor:
         """Return the noise that makes the rollout's actions random."""
+        begun_before, self._begun = self._begun, None
+        if begun_before is not None and begun_before[0] == rollout:
+            return begun_before[1]()
+        return self._made_noise(rollout)
+
+    def _made_noise(self, rollout: int) -> Tensor:
         settings = self.settings
         size = (settings.rollout_length, len(self.agents.obs), self.model.policy.outputs)
         noise = torch.empty(size, device=self.where)
@@ -290,6 +290,7 @@ class RolloutWorker:
     def _values(self, inputs: Inputs, wanted: Tensor) -> Tensor:
         """Return what the critic expects where it is wanted, else 0; a row a step and a column an agent."""
         if len(self.blocks) == 1 and wanted.all():  # no need to look for rows, and to copy them
+            # Parts hold whole worlds.
             rows, size = inputs.flat(), CRITIC_ROWS // self.spec.agents * self.spec.agents
             parts = [rows.pick(slice(k, k + size)) for k in range(0, len(rows.obs), size)]
             return torch.cat([self.model.values_of_all(part) for part in parts]).view(wanted.shape)

@@ -108,6 +108,7 @@ class Trainer:
         self.components: dict[str, Any] = {}  # modules and optimisers, by their names in a checkpoint
         self.done = 0  # iterations so far
         self.steps_per_iteration = 1  # of every agent
+        self.threads = 1  # of PyTorch, before an iteration chooses its own number
         self.evaluated = 256  # agents whose first episodes are an evaluation, unless said otherwise
 
     @property
@@ -117,6 +118,7 @@ class Trainer:
 
     def iterate(self) -> None:
         """Go on by one iteration, with as many threads of PyTorch as help."""
+        self.threads = torch.get_num_threads()
         with threads_for(self.policy.spec, self.settings):
             self.update()
 

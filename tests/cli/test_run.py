@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import io
 import json
 import os
@@ -208,7 +209,7 @@ def test_figures_of_simulated_hardware_are_labelled(device: str, simulated: bool
 
 
 def test_a_policy_by_its_name(pearl: Pearl, tmp_path: Path) -> None:
-    """One that is a golden function; of a function of arrays nothing is made."""
+    """A golden function acts in a rollout, a function of arrays step by step."""
     path = tmp_path / "mine.py"
     path.write_text(
         "from pearl_marl import get_spec\n"
@@ -216,14 +217,41 @@ def test_a_policy_by_its_name(pearl: Pearl, tmp_path: Path) -> None:
         "def act(place, draws):\n"
         "    return 1\n"
         "right = GoldenPolicy(get_spec('CliffWalking'), act)\n"
+        "def also_right(places):\n"
+        "    return [1] * len(places)\n"
     )
     given = "--n-agents", 3, "--steps", 9, "--max-cycles", 3, "--json"
     status, out, err = pearl("run", "CliffWalking", "--policy", f"{path}:right", *given)
     assert status == 0, err
-    assert json.loads(out)["return_mean"] == -300
-    status, _, err = pearl("run", "CliffWalking", "--policy", f"{path}:act", *given)
-    assert status == 2
-    assert "act is a function of arrays, which cannot run beside the environments" in " ".join(err.split())
+    rolled_out = json.loads(out)
+    assert rolled_out["return_mean"] == -300
+    status, out, err = pearl("run", "CliffWalking", "--policy", f"{path}:also_right", *given)
+    assert status == 0, err
+    stepped = json.loads(out)
+    assert stepped["policy"] == f"{path}:also_right"
+    for figure in ("episodes", "truncated", "return_mean", "length_mean"):
+        assert stepped[figure] == rolled_out[figure]
+
+
+@pytest.mark.parametrize("memory", [False, True])
+def test_a_policy_that_was_trained(pearl: Pearl, tmp_path: Path, memory: bool) -> None:
+    """It does what it does in `pearl eval`: of memory, it forgets what was before an episode."""
+    torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
+    trained = importlib.import_module("pearl_marl.policies.trained")
+    torch.manual_seed(3)
+    policy = trained.NetworkPolicy(get_spec("MemoryChain"), "logits", 8, memory="gru" if memory else "none")
+    with torch.no_grad():
+        for parameter in policy.parameters():
+            parameter += torch.randn(parameter.shape)
+    policy.save(tmp_path / "policy.safetensors")
+    given = "--policy", tmp_path, "--n-agents", 500, "--json"
+    status, out, err = pearl("run", "MemoryChain", *given, "--steps", 200)
+    assert status == 0, err
+    result = json.loads(out)
+    status, out, err = pearl("eval", "MemoryChain", *given, "--episodes", result["episodes"])
+    assert status == 0, err
+    evaluated = json.loads(out)["return"]
+    assert abs(result["return_mean"] - evaluated["mean"]) < 0.1
 
 
 def test_a_policy_in_integers(pearl: Pearl, tmp_path: Path) -> None:
@@ -241,6 +269,14 @@ def test_a_policy_in_integers(pearl: Pearl, tmp_path: Path) -> None:
     status, out, err = pearl("run", "CliffWalking", *given, "--steps", 5)
     assert status == 0, err
     assert "one rollout, the policy included" in out
-    status, _, err = pearl("run", "CliffWalking", *given, "--video", tmp_path / "film.gif")
+    film = tmp_path / "film.gif"
+    status, out, err = pearl(
+        "run", "CliffWalking", *given, "--steps", 30, "--max-cycles", 10, "--json", "--video", film
+    )
+    assert status == 0, err
+    assert film.stat().st_size > 1000
+    stepped = json.loads(out)
+    assert all(stepped[figure] == result[figure] for figure in ("episodes", "return_mean", "length_mean"))
+    status, _, err = pearl("run", "CliffWalking", *given, "--actions", tmp_path / "actions.npy")
     assert status == 2
-    assert "leave out --actions and --video" in err
+    assert "--policy and --actions both say what agents do" in err

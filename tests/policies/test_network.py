@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,14 @@ from pearl_marl import get_spec
 
 torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
 network = importlib.import_module("pearl_marl.policies.network")
+
+
+@pytest.fixture(autouse=True)
+def two_threads() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
 
 
 def made(env_id: str, **kinds: Any) -> Any:
@@ -35,13 +44,17 @@ def test_rows_of_a_second_thread_are_the_same(env_id: str, monkeypatch: pytest.M
 def test_a_fault_in_either_half_is_raised() -> None:
     second_thread = importlib.import_module("pearl_marl.policies.second_thread")
 
-    def fails(part: slice, at: int) -> None:
-        if part.start <= at < part.stop:
+    done: list[tuple[int, int]] = []
+
+    def fails(rows: slice, at: int) -> None:
+        done.append((rows.start, rows.stop))
+        if rows.start <= at < rows.stop:
             raise ValueError("a row that cannot be done")
 
     for at in (0, 9):
         with pytest.raises(ValueError, match="cannot be done"):
-            second_thread.over_rows(10, 2, lambda part, at=at: fails(part, at))
+            second_thread.over_rows(10, 2, lambda rows, at=at: fails(rows, at))
+    assert {(0, 5), (5, 10)} == set(done)
 
 
 def test_statistics_are_those_of_all_rows(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -81,7 +81,7 @@ def test_minibatches_of_any_size(n: int) -> None:
 def test_rows_that_share_a_state() -> None:
     """The critic is asked once for those that follow each other, of which here a world's first is missing."""
     trainer, samples, _ = trainer_with_samples("mappo", "LevelBasedForaging")
-    agents = trainer.model.sharers
+    agents = trainer.model.agents_per_state
     assert agents > 1
     worlds = torch.randperm(len(samples.actions) // agents)[:ROWS]
     rows = (worlds[:, None] * agents + torch.arange(agents)).flatten()[1:]

@@ -223,7 +223,7 @@ def test_what_is_learned_from_comes_once_an_epoch(algorithm: str, monkeypatch: p
         assert not torch.equal(epoch, rows)
     assert max(map(len, minibatches)) == 50
     if algorithm == "mappo":
-        agents = trainer.model.sharers
+        agents = trainer.model.agents_per_state
         changes = int((whole[1:] // agents != whole[:-1] // agents).sum())
         assert changes < 2 * 256 // agents, "a world's rows follow each other"
 

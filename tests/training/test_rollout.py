@@ -137,20 +137,23 @@ def test_noise_that_was_begun_is_that_of_its_rollout(name: str, monkeypatch: pyt
     """It is made anew where another rollout follows."""
     settings = run.settings_for("ppo", name, {"n_agents": 8, "rollout_length": 4, "iterations": 9})
     made: list[int] = []
-    noise = rollout.RolloutWorker._noise
+    noise = rollout.RolloutWorker._made_noise
 
     def noted(worker: Any, number: int) -> Any:
         made.append(number)
         return noise(worker, number)
 
-    monkeypatch.setattr(rollout.RolloutWorker, "_noise", noted)
+    monkeypatch.setattr(rollout.RolloutWorker, "_made_noise", noted)
     actions = []
     for begins in (True, False):
-        if not begins:
-            monkeypatch.setattr(rollout, "begun", lambda work: work)
-        worker = run.ALGORITHMS["ppo"](get_spec(name), "native", settings).worker
-        actions.append([worker.gather(k).actions for k in (0, 1, 5, 8)])
-    assert made.count(0) == made.count(1) == made.count(5) == made.count(8) == 2, made
+        worker, found = run.ALGORITHMS["ppo"](get_spec(name), "native", settings).worker, []
+        for number in (0, 1, 5, 8):
+            found.append(worker.gather(number).actions)
+            if begins:
+                worker.begin_noise(number + 1)
+        actions.append(found)
+        assert sorted(made) == ([0, 1, 2, 5, 6, 8, 9] if begins else [0, 1, 5, 8])
+        made.clear()
     for one, other in zip(*actions, strict=True):
         assert torch.equal(one, other)
 
