@@ -172,7 +172,7 @@ class Record(NamedTuple):
         observations = np.empty((steps + 1, agents, *spec.observation_shape), spec.observation_dtype)
         observations_of(spec, self.observations, observations[:-1])
         observations[-1] = last.obs
-        # np.zeros() takes memory that the system clears when it is first used; np.zeros_like() writes all of it.
+        # np.zeros() takes memory that the system clears when it is first used; zeros_like() writes all.
         final = np.zeros((steps, agents, *spec.observation_shape), spec.observation_dtype)
         final[cut] = observations_of(spec, self.final[cut])
         masks = None if last.action_masks is None else np.concatenate([self.masks, last.action_masks[None]])

@@ -152,7 +152,7 @@ def test_noise_that_was_begun_is_that_of_its_rollout(name: str, monkeypatch: pyt
             if begins:
                 worker.begin_noise(number + 1)
         actions.append(found)
-        assert sorted(made) == ([0, 1, 2, 5, 6, 8, 9] if begins else [0, 1, 5, 8])
+        assert [made.count(number) for number in (0, 1, 5, 8)] == [1, 1, 1, 1]
         made.clear()
     for one, other in zip(*actions, strict=True):
         assert torch.equal(one, other)
