@@ -49,8 +49,8 @@ PolicyName = Annotated[
     str | None,
     typer.Option(
         "--policy",
-        help="A policy that acts, instead of random actions: what `pearl eval --policy` takes. One in integers, "
-        "or a GoldenPolicy, acts in a rollout.",
+        help="A policy that acts, instead of random actions: what `pearl eval --policy` takes. One in "
+        "integers, or a GoldenPolicy, acts in a rollout.",
     ),
 ]
 MaxCycles = Annotated[
