@@ -169,13 +169,13 @@ def test_ctrl_c_in_another_command(tmp_path: Path) -> None:
     mark = tmp_path / "reached"
     hook = WAIT_FOR.format(name="pearl_marl.cli.nothing", mark=str(mark))
     hook += "\nimport pearl_marl.cli.run\n"
-    hook += "pearl_marl.cli.run.random_actions = lambda *_: importing('pearl_marl.cli.nothing')\n"
+    hook += "pearl_marl.cli.run.random_policy = lambda *_: importing('pearl_marl.cli.nothing')\n"
     status, err = interrupted(started(hook, "run", "CliffWalking", "--n-agents", 8), mark.exists)
     assert (status, sentences(err)) == (130, ["pearl: interrupted"])
 
 
 def test_a_bug_keeps_its_traceback() -> None:
-    hook = "import pearl_marl.cli.run\npearl_marl.cli.run.random_actions = None\n"
+    hook = "import pearl_marl.cli.run\npearl_marl.cli.run.random_policy = None\n"
     process = started(hook, "run", "CliffWalking", "--n-agents", 8, env={**os.environ, "NO_COLOR": "1"})
     _, err = process.communicate(timeout=DEADLINE)
     assert process.returncode == 1
