@@ -233,9 +233,29 @@ def test_a_policy_by_its_name(pearl: Pearl, tmp_path: Path) -> None:
         assert stepped[figure] == rolled_out[figure]
 
 
+def test_a_policy_forgets_what_was_before_an_episode(pearl: Pearl, tmp_path: Path) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "import numpy as np\n"
+        "class Patient:\n"
+        "    age = np.zeros(3, int)\n"
+        "    def __call__(self, places):\n"
+        "        self.age += 1\n"
+        "        return np.where(self.age > 3, 1, 0)\n"  # into the cliff, but no episode is that long
+        "    def forget(self, ended):\n"
+        "        self.age[ended] = 0\n"
+        "patient = Patient()\n"
+    )
+    given = "--n-agents", 3, "--steps", 9, "--max-cycles", 3, "--json"
+    status, out, err = pearl("run", "CliffWalking", "--policy", f"{path}:patient", *given)
+    assert status == 0, err
+    result = json.loads(out)
+    assert (result["episodes"], result["return_mean"]) == (9, -3)
+
+
 @pytest.mark.parametrize("memory", [False, True])
 def test_a_policy_that_was_trained(pearl: Pearl, tmp_path: Path, memory: bool) -> None:
-    """It does what it does in `pearl eval`: of memory, it forgets what was before an episode."""
+    """It does what it does in `pearl eval`."""
     torch = pytest.importorskip("torch", reason="torch is not installed: pip install '.[train]'")
     trained = importlib.import_module("pearl_marl.policies.trained")
     torch.manual_seed(3)
