@@ -31,7 +31,7 @@ TEAM: dict[str, Any] = {
     "evaluation_epsilon": 0.1,
 }
 
-# With a discount of 0.95, about half of the seeds learned to take one food only.
+# With a discount of 0.95, two of three seeds stayed below 0.7 where two foods take two players.
 MIXED: dict[str, Any] = {**TEAM, "discount": 0.9}
 
 PRESETS: dict[str, dict[str, Any]] = {"ppo": AGENTS, "mappo": AGENTS, "vdn": TEAM, "qmix": MIXED}
