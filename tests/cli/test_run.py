@@ -231,6 +231,11 @@ def test_a_policy_by_its_name(pearl: Pearl, tmp_path: Path) -> None:
     assert stepped["policy"] == f"{path}:also_right"
     for figure in ("episodes", "truncated", "return_mean", "length_mean"):
         assert stepped[figure] == rolled_out[figure]
+    status, _, err = pearl("verify", "CliffWalking", "--policy", f"{path}:also_right")
+    assert status == 2
+    assert "also_right is a function of arrays, which cannot run beside the environments" in " ".join(
+        err.split()
+    )
 
 
 def test_a_policy_forgets_what_was_before_an_episode(pearl: Pearl, tmp_path: Path) -> None:
