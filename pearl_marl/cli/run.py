@@ -215,8 +215,9 @@ def _chooser(
 
     def choose(observed: Any) -> npt.NDArray[Any]:
         masks = env.action_masks
-        arguments = (observed,) if masks is None else (observed, masks)
-        actions: npt.NDArray[Any] = chooses(*map(on_host, arguments))
+        # Random actions only depend on how many observations there are: those of a GPU may stay there.
+        arguments = [observed if policy is None else on_host(observed)]
+        actions: npt.NDArray[Any] = chooses(*arguments, *([] if masks is None else [on_host(masks)]))
         return actions
 
     return choose
