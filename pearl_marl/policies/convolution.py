@@ -109,8 +109,8 @@ def _keys(channels: int) -> Array:
 def _hash(elements: Array, layer: FilterLayer, hashes: Array) -> None:
     """Write a hash of each square of the pictures that ``elements`` are: 0 of one that is empty.
 
-    It is the sum of the random numbers of elements that are set (Zobrist, 1970). Two squares that differ have
-    the same hash with a probability of about 1e-19.
+    A hash is the sum of random numbers, one for each element that is set (Zobrist, 1970). Two different
+    squares have the same hash with a probability of about 1e-19.
     """
     rows, columns, channels = layer.shape
     wide, size = columns + 2, rows * columns * channels
