@@ -29,9 +29,14 @@ def over_rows(n: int, least: int, work: Callable[[slice], None]) -> None:
     if n < 2 * least or torch.get_num_threads() == 1:
         work(slice(0, n))
         return
-    other = _thread("rows").submit(work, slice(n // 2, n))
-    work(slice(0, n // 2))
-    other.result()
+    both(lambda: work(slice(0, n // 2)), lambda: work(slice(n // 2, n)))
+
+
+def both(one: Callable[[], None], other: Callable[[], None]) -> None:
+    """Call two functions, the other by the second thread."""
+    result = _thread("both").submit(other)
+    one()
+    result.result()
 
 
 T = TypeVar("T")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -25,7 +25,7 @@ LINE = 16
 """Numbers of a cache line."""
 
 
-def _adam(
+def adam_step(
     values: Array,
     gradient: Array,
     mean: Array,
@@ -49,7 +49,19 @@ def _adam(
         values[i] -= rate_32 * mean[i] / (np.sqrt(square[i] * per_correction) + epsilon_32)
 
 
-move_all = compiled_loop(_adam, fused=True)
+move_all = compiled_loop(adam_step, fused=True)
+
+
+class Moves(NamedTuple):
+    """What some steps of :func:`adam_step` depend on."""
+
+    values: Array
+    gradient: Array
+    mean: Array
+    square: Array
+    rates: Array  # (steps, 2): of each step, rate and correction
+    epsilon: float
+    max_grad_norm: float
 
 
 class Adam:
@@ -73,10 +85,12 @@ class Adam:
         self._values = self.parameters[0].new_zeros(sum(sizes))
         self._gradient, self._mean, self._square = (torch.zeros_like(self._values) for _ in range(3))
         self._steps = 0
+        self.gradients: dict[Tensor, Tensor] = {}  # by their parameters
         parts = (torch.split(tensor, sizes) for tensor in (self._values, self._gradient))
         for parameter, *pieces in zip(self.parameters, *parts, strict=True):
             values, gradient = (piece[: parameter.numel()].view_as(parameter) for piece in pieces)
             parameter.data, parameter.grad = values.copy_(parameter.data), gradient
+            self.gradients[parameter] = gradient
 
     def zero_grad(self) -> None:
         """Forget the gradients that the parameters have."""
@@ -84,18 +98,31 @@ class Adam:
 
     def step(self, rate: float) -> None:
         """Learn at a learning rate from the gradients that the parameters have."""
-        self._steps += 1
-        state = self._values, self._gradient, self._mean, self._square
-        rates = rate / (1 - BETA_1**self._steps), 1 - BETA_2**self._steps
+        rates = self._rates(rate)
         if self._values.is_cuda:
-            self._move(*state, *rates)
+            self._move(*self._state, *rates)
         else:
-            move_all()(*(tensor.numpy() for tensor in state), *rates, self.epsilon, self.max_grad_norm)
+            move_all()(*(tensor.numpy() for tensor in self._state), *rates, self.epsilon, self.max_grad_norm)
+
+    def steps_by_others(self, rate: float, steps: int) -> Moves:
+        """Return what :func:`adam_step` takes for the next steps, on a CPU. The caller does them."""
+        rates = np.array([self._rates(rate) for _ in range(steps)]).reshape(steps, 2)
+        values, gradient, mean, square = (tensor.numpy() for tensor in self._state)
+        return Moves(values, gradient, mean, square, rates, self.epsilon, self.max_grad_norm)
+
+    @property
+    def _state(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        return self._values, self._gradient, self._mean, self._square
+
+    def _rates(self, rate: float) -> tuple[float, float]:
+        """Count a step; return its rate and correction."""
+        self._steps += 1
+        return rate / (1 - BETA_1**self._steps), 1 - BETA_2**self._steps
 
     def _move(
         self, values: Tensor, gradient: Tensor, mean: Tensor, square: Tensor, rate: float, correction: float
     ) -> None:
-        """Do on a GPU what ``_adam`` does on a CPU."""
+        """Do on a GPU what ``adam_step`` does on a CPU."""
         gradient *= (self.max_grad_norm / (gradient.norm() + 1e-6)).clamp(max=1)
         mean.lerp_(gradient, 1 - BETA_1)
         square.mul_(BETA_2).addcmul_(gradient, gradient, value=1 - BETA_2)

@@ -18,6 +18,8 @@ from numba.extending import overload
 from torch import Tensor
 
 from pearl_marl.base.arrays import Array
+from pearl_marl.compiler import barrier
+from pearl_marl.compiler.barrier import arrive
 from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.policies import dense
 from pearl_marl.policies.dense import (
@@ -35,8 +37,11 @@ from pearl_marl.policies.dense import (
     tile_of,
 )
 from pearl_marl.policies.network import MASKED, Pictures, is_dense, takes_planes
+from pearl_marl.policies.second_thread import both
+from pearl_marl.training import adam
 from pearl_marl.training.actor_critic import ActorCritic
-from pearl_marl.training.halves import Halves
+from pearl_marl.training.adam import Adam, Moves
+from pearl_marl.training.halves import SECOND_THREAD, Halves
 from pearl_marl.training.rollout import RolloutBuffer
 
 _MASKED, _ONE, _NONE = np.float32(MASKED), np.float32(1), np.float32(0)
@@ -190,13 +195,17 @@ def _loss(advantages: Array, rows: Array, clip: float, entropy: float) -> Loss:
     return Loss(clip, entropy, 1 / n, mean, 1 / (math.sqrt(squares / (n - 1)) + 1e-8))
 
 
+_loss_called: Callable[..., Loss] = called(_loss)
+_move: Callable[..., None] = called(adam.adam_step)
+
+
 @called
 def _gathered(samples: Samples, rows: Array) -> Samples:
-    """Return some rows, one after the other in memory: there, the loss need not wait for each."""
+    """Return some rows but for the column, one after the other in memory: there, no loss waits for each."""
     return Samples(
         samples.actions[rows],
         samples.masks[rows] if len(samples.masks) else samples.masks,
-        samples.column[rows] if len(samples.column) else samples.column,
+        samples.column,
         samples.log_probs[rows],
         samples.advantages[rows],
         samples.returns[rows],
@@ -208,6 +217,57 @@ def _room(outputs: Array, stride: int, n: int) -> Scored:
     """Return outputs with the memory that their loss needs."""
     greatest, logs = np.empty(ROWS, np.float32), np.empty(ROWS * n, np.float32)
     return Scored(outputs, stride, n, greatest, logs, np.empty_like(logs))
+
+
+@called
+def _actor_gradients(weights, gradients, inputs, samples, rows, loss, figures):  # type: ignore[no-untyped-def]
+    """Compute those by the actor's weights; write all of ``figures`` but the critic's loss."""
+    actor, sums = weights.actor, gradient_sums(gradients.actor)
+    by_padded, tile = padded(actor), tile_of(actor)
+    n, out, taken = len(actor.bias3), len(by_padded.bias3), _gathered(samples, rows)
+    score, by_deviation = _room(tile.outputs, out, n), 0.0
+    for first in range(0, len(rows), ROWS):
+        some = rows[first : first + ROWS]
+        forward_rows(actor, by_padded, inputs, some, tile)
+        for s in range(ROWS):
+            for k in range(n if s < len(some) else 0, out):
+                tile.outputs[s * out + k] = 0
+        by_deviation += _score(score, taken, (first, len(some)), weights.log_deviation, loss, figures)
+        backward_rows(actor, by_padded, inputs, some, tile, sums, gradients.actor)
+    store_gradients(sums, gradients.actor)
+    if len(gradients.log_deviation):
+        gradients.log_deviation[0] = by_deviation
+
+
+@called
+def _critic_gradients(  # type: ignore[no-untyped-def]
+    critic, gradients, inputs, agents_per_state, samples, rows, share, figures
+):
+    """Compute those by the critic's weights; write the critic's loss."""
+    by_padded, tile, sums = padded(critic), tile_of(critic), gradient_sums(gradients)
+    out, outputs, returns = len(by_padded.bias3), tile.outputs, samples.returns[rows]
+    column = samples.column[rows] if len(samples.column) else samples.column
+    asked, answer, errors = np.empty(ROWS, np.int64), np.empty(ROWS, np.int64), np.empty(ROWS, np.float32)
+    for first in range(0, len(rows), ROWS):
+        some, n_asked = rows[first : first + ROWS], 0
+        for s in range(len(some)):
+            state = some[s] // agents_per_state
+            if n_asked == 0 or asked[n_asked - 1] != state:
+                asked[n_asked] = state
+                n_asked += 1
+            answer[s] = (n_asked - 1) * out
+            if len(column):
+                answer[s] += column[first + s]
+        of_critic = asked[:n_asked]
+        forward_rows(critic, by_padded, inputs, of_critic, tile)
+        for s in range(len(some)):
+            errors[s] = outputs[answer[s]] - returns[first + s]
+            figures[1] += errors[s] * errors[s]
+        outputs[:] = 0
+        for s in range(len(some)):
+            outputs[answer[s]] += errors[s] * share
+        backward_rows(critic, by_padded, inputs, of_critic, tile, sums, gradients)
+    store_gradients(sums, gradients)
 
 
 def _gradients(
@@ -229,51 +289,56 @@ def _gradients(
     Into ``figures``, shape (4,), go the loss of the policy, that of the critic, the entropy, and the share of
     ratios that were clipped.
     """
-    n, share = len(rows), loss.share
-    actor, critic, log_deviation = weights
-    actor_weights, critic_weights = padded(actor), padded(critic)
-    actor_tile, critic_tile = tile_of(actor), tile_of(critic)
-    actor_sums, critic_sums = gradient_sums(gradients.actor), gradient_sums(gradients.critic)
-    n_outputs, out, out_critic = len(actor.bias3), len(actor_weights.bias3), len(critic_weights.bias3)
-    taken, score, by_deviation = _gathered(samples, rows), _room(actor_tile.outputs, out, n_outputs), 0.0
-    asked, answer, errors = np.empty(ROWS, np.int64), np.empty(ROWS, np.int64), np.empty(ROWS, np.float32)
     figures[:] = 0
-    for first in range(0, n, ROWS):
-        some = rows[first : first + ROWS]
-        forward_rows(actor, actor_weights, actor_inputs, some, actor_tile)
-        outputs = actor_tile.outputs
-        for s in range(ROWS):
-            for k in range(n_outputs if s < len(some) else 0, out):
-                outputs[s * out + k] = 0
-        by_deviation += _score(score, taken, (first, len(some)), log_deviation, loss, figures)
-        backward_rows(actor, actor_weights, actor_inputs, some, actor_tile, actor_sums, gradients.actor)
-        n_asked = 0
-        for s in range(len(some)):
-            state = some[s] // agents_per_state
-            if n_asked == 0 or asked[n_asked - 1] != state:
-                asked[n_asked] = state
-                n_asked += 1
-            answer[s] = (n_asked - 1) * out_critic
-            if len(taken.column):
-                answer[s] += taken.column[first + s]
-        of_critic = asked[:n_asked]
-        forward_rows(critic, critic_weights, critic_inputs, of_critic, critic_tile)
-        outputs = critic_tile.outputs
-        for s in range(len(some)):
-            errors[s] = outputs[answer[s]] - taken.returns[first + s]
-            figures[1] += errors[s] * errors[s]
-        outputs[:] = 0
-        for s in range(len(some)):
-            outputs[answer[s]] += errors[s] * share
-        backward_rows(
-            critic, critic_weights, critic_inputs, of_critic, critic_tile, critic_sums, gradients.critic
-        )
-    store_gradients(actor_sums, gradients.actor)
-    store_gradients(critic_sums, gradients.critic)
-    if len(gradients.log_deviation):
-        gradients.log_deviation[0] = by_deviation
+    _actor_gradients(weights, gradients, actor_inputs, samples, rows, loss, figures)
+    critic = weights.critic, gradients.critic, critic_inputs, agents_per_state
+    _critic_gradients(*critic, samples, rows, loss.share, figures)
     for k in range(4):
-        figures[k] *= share
+        figures[k] *= loss.share
+
+
+ACTOR, CRITIC, BOTH = 0, 1, 2
+"""Which network a thread learns."""
+
+
+def _descend(
+    network: int,
+    weights: Weights,
+    gradients: Weights,
+    actor_inputs: NetworkInputs,
+    critic_inputs: NetworkInputs,
+    agents_per_state: int,
+    samples: Samples,
+    rows: Array,
+    edges: Array,
+    clip: float,
+    entropy: float,
+    moves: Moves,
+    figures: Array,
+    shared: Array,
+) -> None:
+    """Learn from minibatches, one after the other: from ``rows`` between two neighbours of ``edges``.
+
+    ``figures``, shape (2, minibatches, 4), are zeros; the actor's and the critic's are written. The thread of
+    the critic moves the weights of both.
+    """
+    state = moves.values, moves.gradient, moves.mean, moves.square
+    for k in range(len(moves.rates)):
+        some = rows[edges[k] : edges[k + 1]]
+        if network != CRITIC:
+            loss, mine = _loss_called(samples.advantages, some, clip, entropy), figures[ACTOR, k]
+            _actor_gradients(weights, gradients, actor_inputs, samples, some, loss, mine)
+            mine *= loss.share
+        if network != ACTOR:
+            critic, share = (weights.critic, gradients.critic, critic_inputs, agents_per_state), 1 / len(some)
+            _critic_gradients(*critic, samples, some, share, figures[CRITIC, k])
+            figures[CRITIC, k] *= share
+        if network != BOTH:
+            arrive(shared, network, 2 * k + 1)
+        if network != ACTOR:
+            _move(*state, moves.rates[k, 0], moves.rates[k, 1], moves.epsilon, moves.max_grad_norm)
+        if network != BOTH:
+            arrive(shared, network, 2 * k + 2)
 
 
 def _shared_gradients(
@@ -309,6 +374,7 @@ def _shared_gradients(
 
 
 _loss_of = compiled_loop(_loss, fused=True)
+_descend_of = compiled_loop(_descend, dense, adam, barrier, fused=True)
 _gradients_of = compiled_loop(_gradients, dense, fused=True)
 _shared_gradients_of = compiled_loop(_shared_gradients, dense, fused=True)
 
@@ -320,6 +386,25 @@ def fits(model: ActorCritic) -> bool:
     return is_dense(model.actor) and is_dense(model.critic) and not model.policy.heads
 
 
+def in_one_loop(model: ActorCritic, minibatch: int) -> bool:
+    """Return whether :func:`descend` learns a model by minibatches of so many rows."""
+    return fits(model) and not model.shared and minibatch * model.policy.about["width"] < SECOND_THREAD
+
+
+def _samples_of(model: ActorCritic, rollout: RolloutBuffer) -> Samples:
+    """Return a rollout's samples, for a model."""
+    inputs, column = rollout.inputs, np.empty(0, np.int64)
+    if model.central and inputs.position is not None:
+        column = inputs.position.contiguous().numpy()
+    masks = inputs.masks
+    return Samples(
+        rollout.actions.contiguous().numpy(),
+        np.zeros((0, model.policy.outputs), np.int8) if masks is None else masks.numpy(),
+        column,
+        *(part.contiguous().numpy() for part in (rollout.log_probs, rollout.advantages, rollout.returns)),
+    )
+
+
 class PPOGradients:
     """Finds gradients for minibatches of a rollout, whose steps and agents are one axis.
 
@@ -328,27 +413,52 @@ class PPOGradients:
     """
 
     def __init__(self, model: ActorCritic, rollout: RolloutBuffer, clip: float, entropy: float) -> None:
-        self._clip, self._entropy = clip, entropy
-        inputs, column = rollout.inputs, np.empty(0, np.int64)
-        if model.central and inputs.position is not None:
-            column = inputs.position.contiguous().numpy()
-        masks = inputs.masks
-        samples = Samples(
-            rollout.actions.contiguous().numpy(),
-            np.zeros((0, model.policy.outputs), np.int8) if masks is None else masks.numpy(),
-            column,
-            *(part.contiguous().numpy() for part in (rollout.log_probs, rollout.advantages, rollout.returns)),
-        )
-        self._advantages = samples.advantages
+        self._clip, self._entropy, self._samples = clip, entropy, _samples_of(model, rollout)
         kind = _SharedLayers if model.shared else _SeparateLayers
-        self._loops: _SharedLayers | _SeparateLayers = kind(model, rollout, samples)
+        self._loops: _SharedLayers | _SeparateLayers = kind(model, rollout, self._samples)
         self._halves = Halves(model, model.policy.about["width"], self._loops.gradients)
 
     def __call__(self, rows: Tensor) -> Tensor:
         """Find the gradients of some rows."""
         numbers = rows.numpy()
-        loss = _loss_of()(self._advantages, numbers, self._clip, self._entropy)
+        loss = _loss_of()(self._samples.advantages, numbers, self._clip, self._entropy)
         return self._halves.find(numbers, partial(self._loops, loss))
+
+
+def descend(
+    model: ActorCritic,
+    rollout: RolloutBuffer,
+    minibatches: Sequence[Tensor],
+    optimiser: Adam,
+    rate: float,
+    settings: Any,
+    threads: int,
+) -> Tensor:
+    """Learn from minibatches one after the other, in one compiled loop; return the losses of each.
+
+    Of several threads, one finds the gradients of the actor and another those of the critic, which share no
+    layers. The result is that of :class:`PPOGradients`, bit by bit, where minibatches are not halved.
+    """
+    loops = _SeparateLayers(model, rollout, _samples_of(model, rollout))
+    rows = torch.cat(list(minibatches)).numpy()
+    edges = np.cumsum([0, *map(len, minibatches)])
+    moves = optimiser.steps_by_others(rate, len(minibatches))
+    figures, shared = np.zeros((2, len(minibatches), 4)), barrier.arrivals()
+    gradients = loops.gradients(optimiser.gradients)
+    arguments = *loops.arguments(gradients), rows, edges, settings.clip, settings.entropy
+
+    def learn(network: int) -> None:
+        _descend_of()(network, *arguments, moves, figures, shared)
+
+    if threads > 1:
+        try:
+            both(partial(learn, ACTOR), partial(learn, CRITIC))
+        except BaseException:  # where one was interrupted before it began, the other should not wait
+            barrier.release(shared)
+            raise
+    else:
+        learn(BOTH)
+    return torch.from_numpy(figures.sum(0))
 
 
 class _SeparateLayers:
@@ -377,9 +487,12 @@ class _SeparateLayers:
     def __call__(self, loss: Loss, rows: Array, gradients: Weights) -> Array:
         """Write the gradients; return the losses."""
         figures = np.empty(4)
-        given = *self._inputs, self._agents_per_state, self._samples
-        _gradients_of()(self._weights, gradients, *given, rows, loss, figures)
+        _gradients_of()(*self.arguments(gradients), rows, loss, figures)
         return figures
+
+    def arguments(self, gradients: Weights) -> tuple[Any, ...]:
+        """Return the first arguments of compiled loops, which write these gradients."""
+        return self._weights, gradients, *self._inputs, self._agents_per_state, self._samples
 
 
 class _SharedLayers:

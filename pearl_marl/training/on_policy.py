@@ -125,14 +125,19 @@ class OnPolicyTrainer(Trainer):
 
     def learn(self, samples: RolloutBuffer, rows: Tensor) -> None:
         """Learn from these rows, or chunks, of a rollout."""
-        settings, gradients, losses = self.settings, self.gradients(samples), []
-        rate = settings.learning_rate * (1 - self.done / settings.iterations)
+        rate = self.settings.learning_rate * (1 - self.done / self.settings.iterations)
         with self.halves.shared(min(self.minibatch, len(rows))):
-            for minibatch in self._minibatches(rows):
-                losses.append(gradients(minibatch))
-                self.optimiser.step(rate)
-        self.last_losses = torch.stack(losses).mean(0)
+            losses = self.descend(samples, self._minibatches(rows), rate)
+        self.last_losses = losses.mean(0)
         self.check(self.last_losses)
+
+    def descend(self, samples: RolloutBuffer, minibatches: Iterator[Tensor], rate: float) -> Tensor:
+        """Learn from minibatches of a rollout, one after the other; return the losses of each."""
+        gradients, losses = self.gradients(samples), []
+        for minibatch in minibatches:
+            losses.append(gradients(minibatch))
+            self.optimiser.step(rate)
+        return torch.stack(losses)
 
     def count(self, rollout: RolloutBuffer) -> None:
         """Count the episodes that ended."""

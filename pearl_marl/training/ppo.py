@@ -7,7 +7,7 @@ this module learns from them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -19,7 +19,7 @@ from pearl_marl.policies.network import SHARING
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.actor_critic import ActorCritic
 from pearl_marl.training.agents import TEAM
-from pearl_marl.training.dense_ppo import PPOGradients, fits
+from pearl_marl.training.dense_ppo import PPOGradients, descend, fits, in_one_loop
 from pearl_marl.training.on_policy import OnPolicyTrainer
 from pearl_marl.training.rollout import RolloutBuffer
 from pearl_marl.training.settings import SEEDS, WIDEST, BlockSettings, choice, count, number
@@ -76,6 +76,13 @@ class PPO(OnPolicyTrainer):
         if fits(self.model):
             return PPOGradients(self.model, samples, self.settings.clip, self.settings.entropy)
         return partial(self.autograd, samples)
+
+    def descend(self, samples: RolloutBuffer, minibatches: Iterator[Tensor], rate: float) -> Tensor:
+        """Learn from minibatches; where they and networks are small, in one compiled loop."""
+        if not in_one_loop(self.model, self.minibatch):
+            return super().descend(samples, minibatches, rate)
+        threads = self.threads
+        return descend(self.model, samples, list(minibatches), self.optimiser, rate, self.settings, threads)
 
     def autograd(self, samples: RolloutBuffer, minibatch: Tensor) -> Tensor:
         """Leave the gradients of a minibatch's loss with the parameters.

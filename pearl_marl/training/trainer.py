@@ -54,14 +54,12 @@ class EpisodeReturns:
         steps = len(rewards)
         number = torch.arange(1, steps + 1, device=rewards.device)[:, None]
         # An agent's finished episodes together are all that it had up to the last step that ended one.
-        last = (ended * number).amax(0, keepdim=True)
-        so_far = torch.zeros(2, steps + 1, rewards.shape[1], dtype=torch.float64, device=rewards.device)
-        so_far[0, 1:] = rewards
-        so_far[1, 1:] = 1
-        so_far[:, 0] = self._under_way
-        so_far = so_far.cumsum(1)
-        until_last = so_far.gather(1, last.expand(2, 1, -1))[:, 0] * (last > 0)
-        self._under_way = so_far[:, -1] - until_last
+        last = (ended * number).amax(0)
+        until_last = torch.stack(((rewards * (number <= last)).sum(0, dtype=torch.float64), last.double()))
+        until_last = (self._under_way + until_last) * (last > 0)
+        self._under_way[0] += rewards.sum(0, dtype=torch.float64)
+        self._under_way[1] += steps
+        self._under_way -= until_last
         self._finished[0] += ended.sum()
         self._finished[1:] += until_last.sum(1)
 

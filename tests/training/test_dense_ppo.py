@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from functools import partial
 from typing import Any
 
@@ -10,8 +11,9 @@ import torch
 from torch import Tensor
 
 from pearl_marl.envs import get_spec
-from pearl_marl.training import halves
-from pearl_marl.training.dense_ppo import PPOGradients, fits
+from pearl_marl.training import dense_ppo, halves
+from pearl_marl.training.dense_ppo import PPOGradients, fits, in_one_loop
+from pearl_marl.training.ppo import PPO
 from pearl_marl.training.rollout import RolloutBuffer
 from pearl_marl.training.run import ALGORITHMS, settings_for
 
@@ -100,6 +102,52 @@ def test_separate_networks_are_left_to_pytorch() -> None:
     small = {"n_agents": 4, "rollout_length": 2}
     settings = settings_for("ppo", "CoinGame", small)
     assert not fits(ALGORITHMS["ppo"](get_spec("CoinGame"), "native", settings).model)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "env_id"),
+    [
+        ("ppo", "CartPole"),
+        ("ppo", "FrozenLake"),
+        ("ppo", "Pendulum"),
+        ("ppo", "LevelBasedForaging"),
+        ("mappo", "LevelBasedForaging"),
+    ],
+)
+def test_one_loop_learns_what_gradients_and_steps_learn(algorithm: str, env_id: str) -> None:
+    """Bit by bit, in one thread and with a thread for each network; the last minibatch has a single row."""
+    found = []
+    for threads in (0, 1, 2):
+        trainer, samples, rows = trainer_with_samples(algorithm, env_id)
+        assert in_one_loop(trainer.model, ROWS)
+        minibatches = [*rows.split(32), rows[:1]]
+        for rate in (1e-2, 1e-3):
+            if threads:
+                trainer.threads = threads
+                losses = trainer.descend(samples, iter(minibatches), rate)
+            else:
+                losses = super(PPO, trainer).descend(samples, iter(minibatches), rate)
+        found.append((losses, *trainer.model.parameters(), *trainer.optimiser.state_dict().values()))
+    for other in found[1:]:
+        for wanted, one in zip(found[0], other, strict=True):
+            assert wanted == one if isinstance(wanted, int) else torch.equal(wanted, one)
+
+
+def test_a_loop_that_was_interrupted_leaves_no_other_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer, samples, rows = trainer_with_samples("ppo", "CartPole")
+    compiled, ended = dense_ppo._descend_of(), threading.Event()
+
+    def interrupted(network: int, *arguments: Any) -> None:
+        if network == dense_ppo.ACTOR:
+            raise KeyboardInterrupt
+        compiled(network, *arguments)
+        ended.set()
+
+    monkeypatch.setattr(dense_ppo, "_descend_of", lambda: interrupted)
+    trainer.threads = 2
+    with pytest.raises(KeyboardInterrupt):
+        trainer.descend(samples, iter(rows.split(32)), 1e-3)
+    assert ended.wait(60)
 
 
 @pytest.mark.parametrize("n", [40, ROWS])

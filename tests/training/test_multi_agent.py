@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -210,11 +210,11 @@ def test_what_is_learned_from_comes_once_an_epoch(algorithm: str, monkeypatch: p
     trainer = training.ALGORITHMS[algorithm](get_spec("LevelBasedForaging"), "native", settings)
     minibatches: list[torch.Tensor] = []
 
-    def gradients(rows: torch.Tensor) -> torch.Tensor:
-        minibatches.append(rows)
-        return torch.zeros(4)
+    def descend(_: Any, all_of_them: Iterator[torch.Tensor], __: float) -> torch.Tensor:
+        minibatches.extend(all_of_them)
+        return torch.zeros(1, 4)
 
-    monkeypatch.setattr(trainer, "gradients", lambda samples: gradients)
+    monkeypatch.setattr(trainer, "descend", descend)
     rows = torch.cat((torch.arange(1, 90), torch.arange(91, 256)))
     trainer.learn(trainer.worker.gather(0).flat(), rows)
     whole = torch.cat(minibatches)

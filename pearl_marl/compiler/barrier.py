@@ -1,0 +1,80 @@
+"""A barrier for two compiled loops, which meet there thousands of times a second.
+
+The operating system takes longer to wake a thread than such loops work between two barriers. So each looks
+whether the other has arrived, again and again; after a while it lets other threads run between two looks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from numba import njit, types
+from numba.extending import intrinsic
+
+from pearl_marl.base.arrays import Array
+
+_intrinsic: Any = intrinsic
+_FOR_LOOPS: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_called: Callable[..., Any] = njit(**_FOR_LOOPS)
+
+_LINE = 8
+"""Numbers of a cache line: each loop writes to one of its own."""
+
+_LOOKS = 10_000
+"""Looks without a pause, which take some 10 microseconds."""
+
+_FOREVER = np.iinfo(np.int64).max
+
+_let_others_run = types.ExternalFunction("sched_yield", types.intc())
+
+
+def arrivals() -> Array:
+    """Return what two loops share: how often each has arrived, ``int64``."""
+    return np.zeros(2 * _LINE, np.int64)
+
+
+def release(shared: Array) -> None:
+    """Let both loops run to their ends without the other."""
+    shared[:] = _FOREVER
+
+
+def _address(context: Any, builder: Any, of: Any, array: Any, index: Any) -> Any:
+    data = import_module("numba.np.arrayobj").make_array(of)(context, builder, array).data
+    return builder.gep(data, [index])
+
+
+@_intrinsic  # type: ignore[untyped-decorator]
+def _write(_: Any, shared: Any, index: Any, number: Any) -> Any:
+    """Write a number; all that was written before it is there for a loop that reads it."""
+
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        address = _address(context, builder, signature.args[0], operands[0], operands[1])
+        builder.store_atomic(operands[2], address, "release", 8)
+        return context.get_dummy_value()
+
+    return types.void(shared, types.int64, types.int64), generate
+
+
+@_intrinsic  # type: ignore[untyped-decorator]
+def _read(_: Any, shared: Any, index: Any) -> Any:
+    """Read a number that another loop writes."""
+
+    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
+        address = _address(context, builder, signature.args[0], *operands)
+        return builder.load_atomic(address, "acquire", 8)
+
+    return types.int64(shared, types.int64), generate
+
+
+@_called
+def arrive(shared: Array, loop: int, number: int) -> None:
+    """Arrive for the ``number``-th time, from 1 on; wait until the other of the loops 0 and 1 has too."""
+    _write(shared, loop * _LINE, number)
+    looks = 0
+    while _read(shared, (1 - loop) * _LINE) < number:
+        looks += 1
+        if looks > _LOOKS:
+            _let_others_run()
