@@ -126,17 +126,16 @@ class OnPolicyTrainer(Trainer):
     def learn(self, samples: RolloutBuffer, rows: Tensor) -> None:
         """Learn from these rows, or chunks, of a rollout."""
         rate = self.settings.learning_rate * (1 - self.done / self.settings.iterations)
-        with self.halves.shared(min(self.minibatch, len(rows))):
-            losses = self.descend(samples, self._minibatches(rows), rate)
-        self.last_losses = losses.mean(0)
+        self.last_losses = self.descend(samples, rows, rate).mean(0)
         self.check(self.last_losses)
 
-    def descend(self, samples: RolloutBuffer, minibatches: Iterator[Tensor], rate: float) -> Tensor:
-        """Learn from minibatches of a rollout, one after the other; return the losses of each."""
+    def descend(self, samples: RolloutBuffer, rows: Tensor, rate: float) -> Tensor:
+        """Learn from minibatches of these rows, one after the other; return the losses of each."""
         gradients, losses = self.gradients(samples), []
-        for minibatch in minibatches:
-            losses.append(gradients(minibatch))
-            self.optimiser.step(rate)
+        with self.halves.shared(min(self.minibatch, len(rows))):
+            for minibatch in self.minibatches(rows):
+                losses.append(gradients(minibatch))
+                self.optimiser.step(rate)
         return torch.stack(losses)
 
     def count(self, rollout: RolloutBuffer) -> None:
@@ -169,7 +168,7 @@ class OnPolicyTrainer(Trainer):
         """How many neighbouring rows share a state; minibatches keep them together."""
         return 1
 
-    def _minibatches(self, rows: Tensor) -> Iterator[Tensor]:
+    def minibatches(self, rows: Tensor) -> Iterator[Tensor]:
         """Yield rows in random order; those of a world's step follow each other."""
         size = self.together
         groups = rows // size

@@ -7,7 +7,7 @@ this module learns from them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -77,12 +77,12 @@ class PPO(OnPolicyTrainer):
             return PPOGradients(self.model, samples, self.settings.clip, self.settings.entropy)
         return partial(self.autograd, samples)
 
-    def descend(self, samples: RolloutBuffer, minibatches: Iterator[Tensor], rate: float) -> Tensor:
-        """Learn from minibatches; where they and networks are small, in one compiled loop."""
+    def descend(self, samples: RolloutBuffer, rows: Tensor, rate: float) -> Tensor:
+        """Learn from minibatches of these rows; where they and networks are small, in one compiled loop."""
         if not in_one_loop(self.model, self.minibatch):
-            return super().descend(samples, minibatches, rate)
-        threads = self.threads
-        return descend(self.model, samples, list(minibatches), self.optimiser, rate, self.settings, threads)
+            return super().descend(samples, rows, rate)
+        minibatches = list(self.minibatches(rows))
+        return descend(self.model, samples, minibatches, self.optimiser, rate, self.settings, self.threads)
 
     def autograd(self, samples: RolloutBuffer, minibatch: Tensor) -> Tensor:
         """Leave the gradients of a minibatch's loss with the parameters.

@@ -20,10 +20,12 @@ from pearl_marl.training.run import ALGORITHMS, settings_for
 ROWS = 200
 
 
-def trainer_with_samples(algorithm: str, env_id: str) -> tuple[Any, RolloutBuffer, Tensor]:
+def trainer_with_samples(
+    algorithm: str, env_id: str, minibatch: int = ROWS
+) -> tuple[Any, RolloutBuffer, Tensor]:
     """A trainer far from its first weights, with a rollout of other ones, and rows of it to learn from."""
     spec = get_spec(env_id)
-    small: dict[str, Any] = {"n_agents": 64, "rollout_length": 8, "minibatch": ROWS}
+    small: dict[str, Any] = {"n_agents": 64, "rollout_length": 8, "minibatch": minibatch}
     if algorithm != "pqn":
         small["entropy"] = 0.05
     trainer = ALGORITHMS[algorithm](spec, "native", settings_for(algorithm, env_id, small))
@@ -115,18 +117,18 @@ def test_separate_networks_are_left_to_pytorch() -> None:
     ],
 )
 def test_one_loop_learns_what_gradients_and_steps_learn(algorithm: str, env_id: str) -> None:
-    """Bit by bit, in one thread and with a thread for each network; the last minibatch has a single row."""
+    """Bit by bit, in one thread and with a thread for each network."""
     found = []
     for threads in (0, 1, 2):
-        trainer, samples, rows = trainer_with_samples(algorithm, env_id)
-        assert in_one_loop(trainer.model, ROWS)
-        minibatches = [*rows.split(32), rows[:1]]
+        trainer, samples, rows = trainer_with_samples(algorithm, env_id, minibatch=33)
+        assert in_one_loop(trainer.model, trainer.minibatch)
+        rows = rows.sort().values
         for rate in (1e-2, 1e-3):
             if threads:
                 trainer.threads = threads
-                losses = trainer.descend(samples, iter(minibatches), rate)
+                losses = trainer.descend(samples, rows, rate)
             else:
-                losses = super(PPO, trainer).descend(samples, iter(minibatches), rate)
+                losses = super(PPO, trainer).descend(samples, rows, rate)
         found.append((losses, *trainer.model.parameters(), *trainer.optimiser.state_dict().values()))
     for other in found[1:]:
         for wanted, one in zip(found[0], other, strict=True):
@@ -146,7 +148,7 @@ def test_a_loop_that_was_interrupted_leaves_no_other_waiting(monkeypatch: pytest
     monkeypatch.setattr(dense_ppo, "_descend_of", lambda: interrupted)
     trainer.threads = 2
     with pytest.raises(KeyboardInterrupt):
-        trainer.descend(samples, iter(rows.split(32)), 1e-3)
+        trainer.descend(samples, rows, 1e-3)
     assert ended.wait(60)
 
 
