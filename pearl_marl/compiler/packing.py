@@ -91,10 +91,11 @@ def _packer(fields: tuple[Field, ...]) -> GoldenFunction:
     return pack
 
 
-def unpacked(spec: EnvSpec, rows: Array) -> Array:
+def unpacked(spec: EnvSpec, rows: Array, out: Array | None = None) -> Array:
     """Return observations of shape ``(n, *spec.observation_shape)`` of packed ones, shape ``(n, bytes)``.
 
-    ``spec`` is that of the environment with its observations as they are.
+    ``spec`` is that of the environment with its observations as they are. Into ``out`` they are written, if
+    it is given.
     """
     check_spec(spec)
     rows = np.asarray(rows)
@@ -108,6 +109,8 @@ def unpacked(spec: EnvSpec, rows: Array) -> Array:
         )
     words = np.ascontiguousarray(rows).view(layout)[:, 0]
     columns = tuple(np.ascontiguousarray(words[f.name], f.dtype) for f in spec.observation)
-    observations = np.empty((len(rows), *spec.observation_shape), spec.observation_dtype)
+    observations = out
+    if observations is None:
+        observations = np.empty((len(rows), *spec.observation_shape), spec.observation_dtype)
     compile_kernels(spec).deliver(columns, observations, len(rows))
     return observations

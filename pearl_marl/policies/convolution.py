@@ -9,7 +9,7 @@ multiplied once for all that are equal, and so is the sum of the gradients by th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -45,6 +45,8 @@ BLOCK = 512
 """Pictures that go through both layers at once: their outputs fit a cache."""
 SHARED = 128
 """Pictures from which on a thread has enough to do."""
+SPARE = 64
+"""Elements that are read behind the last picture's."""
 
 _inlined: Callable[..., Any] = njit(forceinline=True)
 _compiled: Callable[..., Any] = njit(nogil=True, error_model="numpy")
@@ -213,15 +215,48 @@ _hash_of, _find_kinds_of, _filter_of, _filter_gradients_of, _no_kinds_of = (
 )
 
 
+def _by_filter(weights: Array, width: int) -> Array:
+    """Return weights ``(outputs, places * filters)`` as ``(places, filters * width)``; the rest are zeros."""
+    found = np.zeros((weights.shape[1] // FILTERS, FILTERS * width), np.float32)
+    for square in range(len(found)):
+        for output in range(len(weights)):
+            for number in range(FILTERS):
+                found[square, number * width + output] = weights[output, square * FILTERS + number]
+    return found
+
+
+def _by_output(weights: Array, width: int) -> Array:
+    """Return the same as ``(places, width * filters)``."""
+    found = np.zeros((weights.shape[1] // FILTERS, FILTERS * width), np.float32)
+    for square in range(len(found)):
+        for output in range(len(weights)):
+            for number in range(FILTERS):
+                found[square, output * FILTERS + number] = weights[output, square * FILTERS + number]
+    return found
+
+
+def _add_empty(by_weights: Array, width: int, of_empty: Array, total: Array, by_linear: Array) -> None:
+    """Write the gradients by the linear layer's weights, of which empty squares make a part."""
+    for first in range(0, len(of_empty), FILTERS):
+        for output in range(len(total)):
+            for number in range(first, first + FILTERS):
+                added = total[output] * of_empty[number]
+                by_linear[output, number] = by_weights[number * width + output] + added
+
+
+_by_filter_of, _by_output_of = _compiled(_by_filter), _compiled(_by_output)
+_add_empty_of: Callable[..., None] = njit(nogil=True, fastmath={"contract"})(_add_empty)
+
+
 def _outputs(
-    elements: Array, layer: FilterLayer, size: int, weights: Array, of_empty: Array, outputs: Array
+    elements: Array, layer: FilterLayer, size: int, linear: Array, of_empty: Array, outputs: Array
 ) -> None:
     """Write what the linear layer makes of pictures, a block of ``size`` after the other.
 
-    ``weights`` are ``(places, filters * width)``, and ``outputs`` ``(pictures, width)``, of whole panels. Of
-    ``elements``, 64 more have to be there.
+    ``linear`` are its weights, and ``outputs`` are ``(pictures, width)``, of whole panels. Of ``elements``,
+    :data:`SPARE` more have to be there.
     """
-    width, kinds = outputs.shape[1], _no_kinds_of(size)
+    width, kinds, weights = outputs.shape[1], _no_kinds_of(size), _by_filter_of(linear, outputs.shape[1])
     # With a few columns more, a picture's hashes do not all fall into the same set of the cache.
     hashes = np.empty((len(weights), size + TOGETHER), np.uint64)
     products = np.empty(size * width, np.float32)
@@ -247,19 +282,27 @@ def _gradients(
     elements: Array,
     layer: FilterLayer,
     size: int,
-    weights: Array,
+    linear: Array,
     by_outputs: Array,
-    by_weights: Array,
+    of_empty: Array,
+    total: Array,
+    by_linear: Array,
     by_filters: Array,
     by_biases: Array,
 ) -> None:
-    """Add the gradients of all pictures, a block of ``size`` after the other.
+    """Find the gradients of all pictures, a block of ``size`` after the other.
 
-    ``weights`` are ``(places, width * filters)`` here. Of ``by_biases``, the first sixteen are what squares
-    that are not empty add to the gradients by the filters' biases; the others are what they would add if they
-    were empty, and the biases above 0.
+    Into ``by_linear`` go those by the weights ``linear``. ``of_empty`` is what filters make of an empty
+    picture, and ``total`` the sum of ``by_outputs``. To ``by_filters`` and ``by_biases`` others are added. Of
+    ``by_biases``, the first sixteen are what squares that are not empty add to the gradients by the filters'
+    biases; the others are what they would add if they were empty, and the biases above 0.
     """
-    width, kinds = by_outputs.shape[1], _no_kinds_of(size)
+    width, kinds, weights = (
+        by_outputs.shape[1],
+        _no_kinds_of(size),
+        _by_output_of(linear, by_outputs.shape[1]),
+    )
+    by_weights = np.zeros(weights.size, np.float32)
     # With a few columns more, a picture's hashes do not all fall into the same set of the cache.
     hashes = np.empty((len(weights), size + TOGETHER), np.uint64)
     sums, by_made = np.zeros(size * width, np.float32), np.empty(size * FILTERS, np.float32)
@@ -286,6 +329,7 @@ def _gradients(
                 keep(by_made, rank * FILTERS, kinds.flags[rank])
                 add(by_biases, 0, by_made, rank * FILTERS)
             _filter_gradients_of(some, layer, layer.begins[square], kinds, count, by_made, by_filters)
+    _add_empty_of(by_weights, width, of_empty, total, by_linear)
 
 
 _outputs_of = compiled_loop(_outputs, convolution_vectors)
@@ -305,14 +349,19 @@ class PlanesLayer(torch.autograd.Function):
     ) -> Tensor:
         """Return what the layer makes of planes, for which :func:`are_planes`; weights are PyTorch's."""
         ctx.save_for_backward(planes, filters, filter_bias, weights)
-        return Planes(planes, filters, filter_bias).outputs(weights.detach(), bias.detach())
+        layer = Planes(elements_of(planes), planes.shape[1:], filters, filter_bias)
+        return layer.outputs(weights.detach(), bias.detach())
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, by_outputs: Tensor) -> tuple[Tensor | None, ...]:
         """Return the gradients by all weights."""
-        planes, filters, filter_bias, weights = ctx.saved_tensors
-        return None, *Planes(planes, filters, filter_bias).gradients(weights, by_outputs)
+        planes, *parameters = ctx.saved_tensors
+        filters, filter_bias, weights = parameters
+        found = [*map(torch.empty_like, parameters), by_outputs.new_empty(len(weights))]
+        layer = Planes(elements_of(planes), planes.shape[1:], filters, filter_bias)
+        layer.find_gradients(weights.detach(), by_outputs, found)
+        return None, *found
 
 
 def are_planes(space: Space[Any]) -> bool:
@@ -322,16 +371,31 @@ def are_planes(space: Space[Any]) -> bool:
     return bool(space.low.min() >= 0 and space.high.max() <= 1)
 
 
-class Planes:
-    """Pictures and filters: what the linear layer makes of both, and the gradients."""
+def room_for(n: int, size: int) -> Array:
+    """Return room for the elements of ``n`` pictures, each of so many; with :data:`SPARE` zeros behind it."""
+    elements = np.empty(n * size + SPARE, np.uint8)
+    elements[n * size :] = 0
+    return elements
 
-    def __init__(self, planes: Tensor, filters: Tensor, bias: Tensor) -> None:
-        n, rows, columns, channels = planes.shape
+
+def elements_of(planes: Tensor) -> Array:
+    """Return the elements of pictures, with :data:`SPARE` zeros behind them."""
+    elements = room_for(1, planes.numel())
+    elements[: planes.numel()] = planes.flatten().numpy().view(np.uint8)
+    return elements
+
+
+class Planes:
+    """Pictures and filters: what the linear layer makes of both, and the gradients.
+
+    ``elements`` are those of all pictures, with :data:`SPARE` zeros behind them.
+    """
+
+    def __init__(self, elements: Array, shape: Sequence[int], filters: Tensor, bias: Tensor) -> None:
+        rows, columns, channels = shape
         by_element = filters.detach().numpy().transpose(2, 3, 1, 0)
-        self._n, self._picture = n, rows * columns * channels
-        # 64 are read at a time.
-        self._elements = np.zeros(n * self._picture + 64, np.uint8)
-        self._elements[:-64] = planes.flatten().numpy().view(np.uint8)
+        self._elements, self._picture = elements, rows * columns * channels
+        self._n = (len(elements) - SPARE) // self._picture
         self._layer = FilterLayer(
             (rows, columns, channels),
             *_places((rows, columns, channels)),
@@ -340,40 +404,36 @@ class Planes:
             np.ascontiguousarray(bias.detach().numpy(), np.float32),
         )
         self._squares = (rows - 2) * (columns - 2)
-        self._size = min(BLOCK, -(-max(n, 1) // TOGETHER) * TOGETHER)
+        self._size = min(BLOCK, -(-max(self._n, 1) // TOGETHER) * TOGETHER)
 
     def outputs(self, weights: Tensor, bias: Tensor) -> Tensor:
         """Return what the linear layer makes of all pictures."""
         width, n = len(weights), self._n
         of_empty = _whole(torch.addmv(bias, weights, self._of_empty())).numpy()
-        by_place = _whole(weights).t().contiguous().view(self._squares, -1).numpy()
         outputs = np.empty((n, len(of_empty)), np.float32)
 
         def write(some: slice) -> None:
-            arguments = self._size, by_place, of_empty, outputs[some]
+            arguments = self._size, weights.contiguous().numpy(), of_empty, outputs[some]
             _outputs_of()(self._elements[some.start * self._picture :], self._layer, *arguments)
 
         over_rows(n, SHARED, write)
         return torch.from_numpy(outputs)[:, :width].contiguous()
 
-    def gradients(self, weights: Tensor, by_outputs: Tensor) -> Iterator[Tensor]:
-        """Yield those by filters, their biases, weights and biases, given those by the outputs."""
-        width, layer = len(weights), self._layer
-        by_place = _whole(weights).view(-1, self._squares, FILTERS).transpose(0, 1).flatten(1).numpy()
-        by_rows = _whole(by_outputs.t()).t().contiguous()
-        by_weights = torch.zeros(weights.shape[1], by_rows.shape[1])
-        by_filters, by_biases = np.zeros_like(layer.weights), np.zeros(2 * FILTERS, np.float32)
-        arguments = by_rows.numpy(), by_weights.numpy().ravel(), by_filters, by_biases
-        _gradients_of()(self._elements, layer, self._size, by_place, *arguments)
-        whole = torch.from_numpy(by_filters).view(SIDE, SIDE, layer.shape[2], FILTERS)
-        yield whole.permute(3, 2, 0, 1).contiguous()
-        of_empty, total = self._of_empty(), by_outputs.sum(0)
+    def find_gradients(self, weights: Tensor, by_outputs: Tensor, found: Sequence[Tensor]) -> None:
+        """Write those by filters, their biases, weights and biases, given those by the outputs."""
+        layer, (by_filters, by_filter_bias, by_weights, by_bias) = self._layer, found
+        by_rows, of_empty = _whole(by_outputs.t()).t().contiguous(), self._of_empty()
+        torch.sum(by_outputs, 0, out=by_bias)
+        sums, by_biases = np.zeros_like(layer.weights), np.zeros(2 * FILTERS, np.float32)
+        arguments = weights.contiguous(), by_rows, of_empty, by_bias, by_weights
+        arrays = (tensor.numpy() for tensor in arguments)
+        _gradients_of()(self._elements, layer, self._size, *arrays, sums, by_biases)
+        whole = torch.from_numpy(sums).view(SIDE, SIDE, layer.shape[2], FILTERS)
+        by_filters.copy_(whole.permute(3, 2, 0, 1))
         # If all squares were empty, their biases would get these; less those of squares that are not.
-        by_empty = torch.mv(weights.t(), total).view(self._squares, FILTERS).sum(0)
-        by_bias, not_empty = torch.from_numpy(by_biases).view(2, FILTERS)
-        yield by_bias + (by_empty - not_empty) * (of_empty[:FILTERS] != 0)
-        yield torch.addr(by_weights[:, :width].t(), total, of_empty)
-        yield total
+        by_empty = torch.mv(weights.t(), by_bias).view(self._squares, FILTERS).sum(0)
+        some, not_empty = torch.from_numpy(by_biases).view(2, FILTERS)
+        by_filter_bias.copy_(some + (by_empty - not_empty) * (of_empty[:FILTERS] != 0))
 
     def _of_empty(self) -> Tensor:
         """Return what filters make of a picture that is empty."""

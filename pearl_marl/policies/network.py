@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -13,10 +14,19 @@ from gymnasium.spaces import Box, Space
 from torch import Tensor, nn
 from torch.nn.functional import layer_norm
 
+from pearl_marl.base.arrays import Array
 from pearl_marl.compiler.packing import unpacked
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies import dense
-from pearl_marl.policies.convolution import SIDE, Planes, PlanesLayer, are_planes
+from pearl_marl.policies.convolution import (
+    SIDE,
+    SPARE,
+    Planes,
+    PlanesLayer,
+    are_planes,
+    elements_of,
+    room_for,
+)
 from pearl_marl.policies.convolution_vectors import FILTERS
 from pearl_marl.policies.memory import Memory, Recall
 from pearl_marl.policies.second_thread import over_rows
@@ -111,7 +121,7 @@ class Encoder(nn.Module):
                     f"pictures of {height} by {breadth} are too small for filters of {SIDE} by {SIDE}: "
                     "declare observations of one axis, or wrap the environment in flatten_v0"
                 )
-            self.planes = are_planes(space)
+            self.shape, self.planes = space.shape, are_planes(space)
             self.convolution = nn.Conv2d(channels, FILTERS, SIDE)
             self.linear = nn.Linear(FILTERS * (height - 2) * (breadth - 2), width)
             return
@@ -142,9 +152,24 @@ class Encoder(nn.Module):
 
     def whole(self, obs: Tensor) -> Tensor:
         """Return observations unpacked, if they are packed."""
-        if self.packs is None or self.packs.unpack is None or obs.shape[1:] == self.packs.observation_shape:
-            return obs
-        return torch.from_numpy(unpacked(self.packs, obs.numpy()))
+        spec = self._packed_for(obs)
+        return obs if spec is None else torch.from_numpy(unpacked(spec, obs.numpy()))
+
+    def _packed_for(self, obs: Tensor) -> EnvSpec | None:
+        """Return the environment that observations are packed for, if they are."""
+        spec = self.packs
+        packed = spec is not None and spec.unpack is not None and obs.shape[1:] != spec.observation_shape
+        return spec if packed else None
+
+    def elements(self, obs: Tensor, rows: Array) -> Array:
+        """Return the elements of some pictures, with :data:`~convolution.SPARE` zeros behind them."""
+        some, spec = obs.numpy().take(rows, 0), self._packed_for(obs)
+        if spec is None:
+            return elements_of(torch.from_numpy(some))
+        elements = room_for(len(rows), math.prod(self.shape))
+        pictures = elements[:-SPARE].view(spec.observation_dtype)
+        unpacked(spec, some, pictures.reshape(len(rows), *self.shape))
+        return elements
 
     def forward(self, obs: Tensor) -> Tensor:
         """Return features, shape ``(batch, width)``; the batch may be empty."""
@@ -314,6 +339,13 @@ class Network(nn.Module):
         return torch.from_numpy(outputs)
 
 
+class PictureGradients(NamedTuple):
+    """Where the gradients by a network's weights go."""
+
+    first: list[Tensor]  # those by the weights of the first layer
+    others: dense.Layers  # of which the table is missing
+
+
 class Pictures:
     """Pictures that a network is given, for compiled loops that learn the layers behind the first.
 
@@ -323,6 +355,7 @@ class Pictures:
 
     def __init__(self, network: Network, obs: Tensor, position: Tensor | None) -> None:
         self._network, self._obs = network, obs
+        self._layers = network.layers(made=_EMPTY)
         self._numbers = np.zeros((len(obs), 1), np.int64)
         none, nothing = np.empty(0, np.float32), np.empty((len(obs), 0), np.float32)
         positions = np.empty(0, np.int64)
@@ -330,23 +363,27 @@ class Pictures:
             positions = torch.as_tensor(position).contiguous().numpy()
         self.inputs = dense.NetworkInputs(nothing, none, none, self._numbers, positions)
 
+    def gradients(self, instead: Mapping[Tensor, Tensor]) -> PictureGradients:
+        """Return where gradients go: to the tensors that stand for the weights."""
+        first = [instead[parameter] for parameter in self._network.encoder.picture_weights()]
+        return PictureGradients(first, self._network.layers(instead, _EMPTY))
+
     @contextmanager
     def first_layer(
-        self, rows: Tensor, gradients: Mapping[Tensor, Tensor]
-    ) -> Iterator[tuple[Tensor, Tensor]]:
-        """Yield what the first layer makes of some pictures, and room for the gradients by that.
+        self, rows: Array, gradients: PictureGradients
+    ) -> Iterator[tuple[dense.Layers, dense.Layers]]:
+        """Yield the layers behind the first, with what that makes of some pictures; and their gradients.
 
-        From these, the gradients by the layer's weights follow at the end.
+        From those by what the first layer makes, the gradients by its weights follow at the end.
         """
-        parameters = self._network.encoder.picture_weights()
-        filters, filter_bias, weights, bias = (parameter.detach() for parameter in parameters)
-        planes = Planes(self._network.encoder.whole(self._obs[rows]), filters, filter_bias)
-        self._numbers[rows.numpy(), 0] = np.arange(len(rows))
-        made = planes.outputs(weights, bias)
-        by_made = torch.empty_like(made)
-        yield made, by_made
-        for parameter, gradient in zip(parameters, planes.gradients(weights, by_made), strict=True):
-            gradients[parameter].copy_(gradient)
+        encoder = self._network.encoder
+        filters, filter_bias, weights, bias = (parameter.detach() for parameter in encoder.picture_weights())
+        planes = Planes(encoder.elements(self._obs, rows), encoder.shape, filters, filter_bias)
+        self._numbers[rows, 0] = np.arange(len(rows))
+        made = planes.outputs(weights, bias).numpy()
+        by_made = np.empty_like(made)
+        yield self._layers._replace(table=made), gradients.others._replace(table=by_made)
+        planes.find_gradients(weights, torch.from_numpy(by_made), gradients.first)
 
 
 def takes_planes(network: nn.Module) -> bool:

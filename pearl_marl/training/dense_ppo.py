@@ -36,7 +36,7 @@ from pearl_marl.policies.dense import (
     store_gradients,
     tile_of,
 )
-from pearl_marl.policies.network import MASKED, Pictures, is_dense, takes_planes
+from pearl_marl.policies.network import MASKED, PictureGradients, Pictures, is_dense, takes_planes
 from pearl_marl.policies.second_thread import both
 from pearl_marl.training import adam
 from pearl_marl.training.actor_critic import ActorCritic
@@ -495,6 +495,13 @@ class _SeparateLayers:
         return self._weights, gradients, *self._inputs, self._agents_per_state, self._samples
 
 
+class _SharedGradients(NamedTuple):
+    """Where gradients go: those by the network, and by the heads of actor and critic."""
+
+    network: PictureGradients
+    heads: list[list[Tensor]]
+
+
 class _SharedLayers:
     """Finds those of a part of a minibatch of pictures, where both share all layers but the last."""
 
@@ -502,27 +509,31 @@ class _SharedLayers:
         self._model, self._samples = model, samples
         self._pictures = Pictures(model.actor, rollout.inputs.obs, rollout.inputs.position)
 
-    gradients = dict
-    """Gradients are written into tensors by parameters: what the first layer makes is not there yet."""
+    def gradients(self, instead: Mapping[Tensor, Tensor]) -> _SharedGradients:
+        """Return where gradients go: to the tensors that stand for the weights."""
+        heads = [[instead[weight] for weight in head] for head in self._heads]
+        return _SharedGradients(self._pictures.gradients(instead), heads)
 
-    def __call__(self, loss: Loss, rows: Array, gradients: Mapping[Tensor, Tensor]) -> Array:
+    @property
+    def _heads(self) -> list[list[Tensor]]:
+        """Of the actor's last layer and the critic's, the weights and the biases."""
+        actor, critic = self._model.actor.output, self._model.critic
+        return [[actor.weight, critic.weight], [actor.bias, critic.bias]]
+
+    def __call__(self, loss: Loss, rows: Array, gradients: _SharedGradients) -> Array:
         """Write the gradients; return the losses."""
-        actor, critic, figures = self._model.actor, self._model.critic, np.empty(4)
-        heads = [torch.cat((actor.output.weight, critic.weight)), torch.cat((actor.output.bias, critic.bias))]
+        heads, figures = [torch.cat(head).detach() for head in self._heads], np.empty(4)
         by_heads = [torch.empty_like(head) for head in heads]
-        with self._pictures.first_layer(torch.from_numpy(rows), gradients) as (made, by_made):
-            weights = _with_heads(actor.layers(made=made), heads)
-            by_weights = _with_heads(actor.layers(gradients, by_made), by_heads)
+        with self._pictures.first_layer(rows, gradients.network) as layers:
+            weights, by_weights = map(_with_heads, layers, (heads, by_heads))
             inputs = self._pictures.inputs
             _shared_gradients_of()(weights, by_weights, inputs, self._samples, rows, loss, figures)
-        outputs = len(actor.output.bias)
-        for name, by in zip(("weight", "bias"), by_heads, strict=True):
-            gradients[getattr(actor.output, name)].copy_(by[:outputs])
-            gradients[getattr(critic, name)].copy_(by[outputs:])
+        for found, by in zip(gradients.heads, by_heads, strict=True):
+            torch.split_with_sizes_copy(by, [len(some) for some in found], out=found)
         return figures
 
 
 def _with_heads(layers: Layers, heads: Sequence[Tensor]) -> Layers:
     """Return layers whose last has these weights and biases."""
-    weights, bias = (head.detach().numpy() for head in heads)
+    weights, bias = (head.numpy() for head in heads)
     return layers._replace(third=weights, bias3=bias)

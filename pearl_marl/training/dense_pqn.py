@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from pearl_marl.base.arrays import Array
@@ -90,17 +89,18 @@ class PQNGradients:
     def __init__(self, model: ActionValues, rollout: RolloutBuffer, team: int = 1) -> None:
         network: Any = model.policy.network
         inputs = rollout.inputs
-        self._layers, self._pictures = network.layers, None
+        self._pictures: Pictures | None = None
         if takes_planes(network):
             self._pictures = Pictures(network, inputs.obs, inputs.position)
-            self._inputs = self._pictures.inputs
+            self._inputs, gradients = self._pictures.inputs, self._pictures.gradients
         else:
             self._inputs, self._weights = network.observed(inputs.obs, inputs.position), network.layers()
+            gradients = network.layers
         self._actions = rollout.actions.contiguous().numpy()
         self._returns = rollout.returns.contiguous().numpy()
         self._acting, self._team = rollout.loss_mask.contiguous().numpy(), np.arange(team)
         width = team * network.hidden.in_features
-        self._halves = Halves(model, width, network.layers if self._pictures is None else dict)
+        self._halves = Halves(model, width, gradients)
 
     def __call__(self, rows: Tensor) -> Tensor:
         """Find the gradients of some rows, or worlds."""
@@ -111,8 +111,7 @@ class PQNGradients:
             samples = self._inputs, self._actions, self._returns, self._acting, team, agents, share
             if self._pictures is None:
                 return np.array([_gradients_of()(self._weights, gradients, *samples)])
-            with self._pictures.first_layer(torch.from_numpy(agents), gradients) as (made, by_made):
-                weights, by_weights = self._layers(made=made), self._layers(gradients, by_made)
+            with self._pictures.first_layer(agents, gradients) as (weights, by_weights):
                 return np.array([_gradients_of()(weights, by_weights, *samples)])
 
         return self._halves.find(rows.numpy(), half)
