@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import cache
 from typing import TypeVar
 
@@ -21,25 +23,59 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_thread.cache_clear)  # threads stay behind
 
 
-def over_rows(n: int, least: int, work: Callable[[slice], None]) -> None:
-    """Have ``work`` called for ``n`` rows: for halves of at least so many, where PyTorch has a second thread.
-
-    ``work`` must release Python's lock for most of its time.
-    """
-    if n < 2 * least or torch.get_num_threads() == 1:
-        work(slice(0, n))
-        return
-    both(lambda: work(slice(0, n // 2)), lambda: work(slice(n // 2, n)))
-
-
-def both(one: Callable[[], None], other: Callable[[], None]) -> None:
-    """Call two functions, the other by the second thread."""
-    result = _thread("both").submit(other)
-    one()
-    result.result()
-
-
 T = TypeVar("T")
+
+_of_thread = threading.local()
+
+
+def is_free() -> bool:
+    """Return whether there is a second thread, and nothing that this thread waits for uses it."""
+    threads: int = getattr(_of_thread, "threads", 0) or torch.get_num_threads()
+    return threads > 1
+
+
+@contextmanager
+def left_to_loops() -> Iterator[None]:
+    """Leave the second thread to compiled loops in the block: PyTorch has one thread.
+
+    PyTorch's second thread looks for more work for a while, and takes the time of the loops' then.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with _threads(threads):
+            yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+@contextmanager
+def _threads(number: int) -> Iterator[None]:
+    before = getattr(_of_thread, "threads", 0)
+    _of_thread.threads = number
+    try:
+        yield
+    finally:
+        _of_thread.threads = before
+
+
+def both(one: Callable[[], T], other: Callable[[], T]) -> tuple[T, T]:
+    """Call two functions, the other by the second thread; return their results.
+
+    The functions must release Python's lock for most of their time.
+    """
+    result = _thread("both").submit(other)
+    with _threads(1):
+        first = one()
+    return first, result.result()
+
+
+def over_rows(n: int, least: int, work: Callable[[slice], None]) -> None:
+    """Have ``work`` called for ``n`` rows: for halves of at least so many, if the second thread is free."""
+    if n < 2 * least or not is_free():
+        work(slice(0, n))
+    else:
+        both(lambda: work(slice(0, n // 2)), lambda: work(slice(n // 2, n)))
 
 
 def begun(work: Callable[[], T]) -> Callable[[], T]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from pearl_marl.base.arrays import Array
+from pearl_marl.policies.second_thread import both, is_free
 
 SECOND_THREAD = 1 << 16
 """Rows times width of a minibatch from which on a second thread does half of it."""
@@ -22,7 +24,7 @@ class Halves:
     """Has gradients found for all rows of a minibatch, or for its halves, which are added up.
 
     The number of threads changes nothing: a minibatch that is large enough for two is always the sum of two
-    halves, which one thread finds one after the other if PyTorch has one.
+    halves, which this thread finds one after the other if no second one is free.
 
     Parameters
     ----------
@@ -44,22 +46,17 @@ class Halves:
         self._gradients = [
             weights(dict(zip(parameters, tensors, strict=True))) for tensors in (self._first, self._second)
         ]
-        self._helper: ThreadPoolExecutor | None = None
-        if torch.get_num_threads() > 1:
-            self._helper = ThreadPoolExecutor(1, initializer=torch.set_num_threads, initargs=(1,))
 
     def find(self, rows: Array, half: Callable[[Array, Any], npt.NDArray[np.float64]]) -> Tensor:
         """Call ``half`` with rows and where it writes their gradients; return the sum of what it returns."""
         if len(rows) * self._width < SECOND_THREAD:
             return torch.from_numpy(half(rows, self._gradients[0]))
         middle = len(rows) // 2
-        if self._helper is not None:
-            other = self._helper.submit(half, rows[middle:], self._gradients[1])
-            figures = half(rows[:middle], self._gradients[0]) + other.result()
-        else:
-            figures = half(rows[:middle], self._gradients[0]) + half(rows[middle:], self._gradients[1])
-        for gradient, second in zip(self._first, self._second, strict=True):
-            gradient += second
+        parts = rows[:middle], rows[middle:]
+        first, second = (partial(half, *part) for part in zip(parts, self._gradients, strict=True))
+        figures = sum(both(first, second)) if is_free() else first() + second()
+        for gradient, other in zip(self._first, self._second, strict=True):
+            gradient += other
         return torch.from_numpy(figures)
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from pearl_marl.policies.second_thread import left_to_loops
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.adam import Adam
 from pearl_marl.training.agents import observed_spec
@@ -37,7 +39,7 @@ class OnPolicyTrainer(Trainer):
     """The class that does so with policies that remember."""
 
     losses: tuple[str, ...]
-    """The names of what :meth:`gradients` returns."""
+    """The names of what :meth:`autograd` returns."""
 
     max_grad_norm: float
 
@@ -82,12 +84,22 @@ class OnPolicyTrainer(Trainer):
         """Return the model that is learned."""
         raise NotImplementedError
 
-    def gradients(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
-        """Return a function of some of a rollout's rows, or chunks.
-
-        It leaves the gradients of their loss with the parameters, and returns the losses.
-        """
+    @property
+    def compiled(self) -> bool:
+        """Whether compiled loops find the gradients, instead of autograd."""
         raise NotImplementedError
+
+    def loops(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
+        """Return compiled loops that do what :meth:`autograd` does with a rollout's rows."""
+        raise NotImplementedError
+
+    def autograd(self, samples: RolloutBuffer, minibatch: Tensor) -> Tensor:
+        """Leave the gradients of the loss of some rows, or chunks, with the parameters; return the losses."""
+        raise NotImplementedError
+
+    def gradients(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
+        """Return a function of some of a rollout's rows, or chunks, that does what :meth:`autograd` does."""
+        return self.loops(samples) if self.compiled else partial(self.autograd, samples)
 
     def all_steps(self, samples: RolloutBuffer, minibatch: Tensor) -> tuple[Tensor, Tensor, RolloutBuffer]:
         """Return the model's outputs and values for rows, or for all steps of chunks; and these samples."""
@@ -132,7 +144,8 @@ class OnPolicyTrainer(Trainer):
     def descend(self, samples: RolloutBuffer, rows: Tensor, rate: float) -> Tensor:
         """Learn from minibatches of these rows, one after the other; return the losses of each."""
         gradients, losses = self.gradients(samples), []
-        with self.halves.shared(min(self.minibatch, len(rows))):
+        shared = self.halves.shared(min(self.minibatch, len(rows)))
+        with left_to_loops() if self.compiled else shared:
             for minibatch in self.minibatches(rows):
                 losses.append(gradients(minibatch))
                 self.optimiser.step(rate)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import torch
 from torch import Tensor
@@ -71,11 +70,14 @@ class PPO(OnPolicyTrainer):
         """Return the model that is learned."""
         return ActorCritic.of(spec, settings, self.central)
 
-    def gradients(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
-        """Return a function that finds the gradients of some rows' loss: compiled, if that can be."""
-        if fits(self.model):
-            return PPOGradients(self.model, samples, self.settings.clip, self.settings.entropy)
-        return partial(self.autograd, samples)
+    @property
+    def compiled(self) -> bool:
+        """Whether compiled loops find the gradients, instead of autograd."""
+        return fits(self.model)
+
+    def loops(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
+        """Return compiled loops that do what :meth:`autograd` does with a rollout's rows."""
+        return PPOGradients(self.model, samples, self.settings.clip, self.settings.entropy)
 
     def descend(self, samples: RolloutBuffer, rows: Tensor, rate: float) -> Tensor:
         """Learn from minibatches of these rows; where they and networks are small, in one compiled loop."""

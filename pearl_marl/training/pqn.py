@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 from torch import Tensor
 
@@ -65,11 +64,14 @@ class PQN(OnPolicyTrainer):
         """Return the model that is learned."""
         return ActionValues.of(spec, settings)
 
-    def gradients(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
-        """Return a function that finds the gradients of some rows' loss: compiled, if that can be."""
-        if fits(self.model):
-            return PQNGradients(self.model, samples)
-        return partial(self.autograd, samples)
+    @property
+    def compiled(self) -> bool:
+        """Whether compiled loops find the gradients, instead of autograd."""
+        return fits(self.model)
+
+    def loops(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
+        """Return compiled loops that do what :meth:`autograd` does with a rollout's rows."""
+        return PQNGradients(self.model, samples)
 
     def autograd(self, samples: RolloutBuffer, minibatch: Tensor) -> Tensor:
         """Leave the gradients of a minibatch's loss with the parameters; return the loss."""

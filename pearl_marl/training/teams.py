@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import torch
@@ -64,11 +63,14 @@ class VDN(PQN):
         """How many worlds' rows, or chunks, are learned from at a time."""
         return max(super().minibatch // len(self.team), 1)
 
-    def gradients(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
-        """Return a function that finds the gradients of some worlds' loss: compiled, if that can be."""
-        if fits(self.model, len(self.team)):
-            return PQNGradients(self.model, samples, len(self.team))
-        return partial(self.autograd, samples)
+    @property
+    def compiled(self) -> bool:
+        """Whether compiled loops find the gradients, instead of autograd."""
+        return fits(self.model, len(self.team))
+
+    def loops(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
+        """Return compiled loops that do what :meth:`autograd` does with a rollout's rows."""
+        return PQNGradients(self.model, samples, len(self.team))
 
     def autograd(self, samples: RolloutBuffer, minibatch: Tensor) -> Tensor:
         """Leave the gradients of the loss of some worlds with the parameters; return the loss."""
