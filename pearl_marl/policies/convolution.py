@@ -10,7 +10,8 @@ multiplied once for all that are equal, and so is the sum of the gradients by th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,7 +38,7 @@ from pearl_marl.policies.convolution_vectors import (
     project,
     rectify,
 )
-from pearl_marl.policies.second_thread import over_rows
+from pearl_marl.policies.second_thread import both, is_free, over_rows
 
 SIDE = 3
 """Rows and columns of a filter."""
@@ -81,6 +82,13 @@ class FilterLayer(NamedTuple):
     bias: Array
 
 
+class Lines(NamedTuple):
+    """Some of the lines that pictures' squares lie in."""
+
+    first: int
+    end: int  # the first that is not one of them
+
+
 class Kinds(NamedTuple):
     """The squares of one place that differ: each has a rank, by its first picture."""
 
@@ -108,8 +116,8 @@ def _keys(channels: int) -> Array:
     return np.random.default_rng(0).integers(1, 1 << 63, SIDE * SIDE * channels, np.uint64)
 
 
-def _hash(elements: Array, layer: FilterLayer, hashes: Array) -> None:
-    """Write a hash of each square of the pictures that ``elements`` are: 0 of one that is empty.
+def _hash(elements: Array, layer: FilterLayer, lines: Lines, hashes: Array) -> None:
+    """Write a hash of each square in some lines of the pictures ``elements``: 0 of one that is empty.
 
     A hash is the sum of random numbers, one for each element that is set (Zobrist, 1970). Two different
     squares have the same hash with a probability of about 1e-19.
@@ -117,17 +125,19 @@ def _hash(elements: Array, layer: FilterLayer, hashes: Array) -> None:
     rows, columns, channels = layer.shape
     wide, size = columns + 2, rows * columns * channels
     sums, found = np.empty((rows + 2) * wide, np.uint64), np.empty(size, np.int64)
+    begin, covered = lines.first * columns * channels, (lines.end - lines.first + 2) * columns * channels
     for i in range(hashes.shape[1]):
         sums[:] = 0
-        for number in range(_set_elements(elements, i * size, size, found, 0)):
-            place, channel = layer.places[found[number]], layer.channels[found[number]]
+        for number in range(_set_elements(elements, i * size + begin, covered, found, 0)):
+            place, channel = layer.places[begin + found[number]], layer.channels[begin + found[number]]
             for down in range(SIDE):
                 for right in range(SIDE):
                     key = layer.keys[(down * SIDE + right) * channels + channel]
                     sums[place - (down * wide + right)] += key
-        for row in range(rows - 2):
+        for row in range(lines.first, lines.end):
             for column in range(columns - 2):
-                hashes[row * (columns - 2) + column, i] = sums[(row + 2) * wide + column + 2]
+                hash_of = sums[(row + 2) * wide + column + 2]
+                hashes[(row - lines.first) * (columns - 2) + column, i] = hash_of
 
 
 def _find_kinds(hashes: Array, kinds: Kinds) -> tuple[int, int]:
@@ -215,60 +225,81 @@ _hash_of, _find_kinds_of, _filter_of, _filter_gradients_of, _no_kinds_of = (
 )
 
 
-def _by_filter(weights: Array, width: int) -> Array:
-    """Return weights ``(outputs, places * filters)`` as ``(places, filters * width)``; the rest are zeros."""
-    found = np.zeros((weights.shape[1] // FILTERS, FILTERS * width), np.float32)
+def _by_filter(weights: Array, width: int, begin: int, count: int) -> Array:
+    """Return weights ``(outputs, places * filters)`` as ``(places, filters * width)``; the rest are zeros.
+
+    They are those of ``count`` places, from ``begin`` on.
+    """
+    found = np.zeros((count, FILTERS * width), np.float32)
     for square in range(len(found)):
         for output in range(len(weights)):
             for number in range(FILTERS):
-                found[square, number * width + output] = weights[output, square * FILTERS + number]
+                found[square, number * width + output] = weights[output, (begin + square) * FILTERS + number]
     return found
 
 
-def _by_output(weights: Array, width: int) -> Array:
+def _by_output(weights: Array, width: int, begin: int, count: int) -> Array:
     """Return the same as ``(places, width * filters)``."""
-    found = np.zeros((weights.shape[1] // FILTERS, FILTERS * width), np.float32)
+    found = np.zeros((count, FILTERS * width), np.float32)
     for square in range(len(found)):
         for output in range(len(weights)):
             for number in range(FILTERS):
-                found[square, output * FILTERS + number] = weights[output, square * FILTERS + number]
+                found[square, output * FILTERS + number] = weights[
+                    output, (begin + square) * FILTERS + number
+                ]
     return found
 
 
-def _add_empty(by_weights: Array, width: int, of_empty: Array, total: Array, by_linear: Array) -> None:
-    """Write the gradients by the linear layer's weights, of which empty squares make a part."""
-    for first in range(0, len(of_empty), FILTERS):
+def _add_empty(
+    by_weights: Array, width: int, begin: int, of_empty: Array, total: Array, by_linear: Array
+) -> None:
+    """Write the gradients by weights of the linear layer, of which empty squares make a part."""
+    for square in range(len(by_weights) // (width * FILTERS)):
         for output in range(len(total)):
-            for number in range(first, first + FILTERS):
-                added = total[output] * of_empty[number]
-                by_linear[output, number] = by_weights[number * width + output] + added
+            for number in range(square * FILTERS, (square + 1) * FILTERS):
+                to = begin * FILTERS + number
+                by_linear[output, to] = by_weights[number * width + output] + total[output] * of_empty[to]
 
 
 _by_filter_of, _by_output_of = _compiled(_by_filter), _compiled(_by_output)
 _add_empty_of: Callable[..., None] = njit(nogil=True, fastmath={"contract"})(_add_empty)
 
 
+@_inlined
+def _places_in(layer: FilterLayer, lines: Lines) -> tuple[int, int]:
+    """Return the first place of some lines, and how many there are."""
+    wide = layer.shape[1] - 2
+    return lines.first * wide, (lines.end - lines.first) * wide
+
+
 def _outputs(
-    elements: Array, layer: FilterLayer, size: int, linear: Array, of_empty: Array, outputs: Array
+    elements: Array,
+    layer: FilterLayer,
+    lines: Lines,
+    size: int,
+    linear: Array,
+    of_empty: Array,
+    outputs: Array,
 ) -> None:
-    """Write what the linear layer makes of pictures, a block of ``size`` after the other.
+    """Write what the linear layer makes of some lines of pictures, a block of ``size`` after the other.
 
     ``linear`` are its weights, and ``outputs`` are ``(pictures, width)``, of whole panels. Of ``elements``,
     :data:`SPARE` more have to be there.
     """
-    width, kinds, weights = outputs.shape[1], _no_kinds_of(size), _by_filter_of(linear, outputs.shape[1])
+    width, kinds, (begin, squares) = outputs.shape[1], _no_kinds_of(size), _places_in(layer, lines)
+    weights = _by_filter_of(linear, width, begin, squares)
     # With a few columns more, a picture's hashes do not all fall into the same set of the cache.
-    hashes = np.empty((len(weights), size + TOGETHER), np.uint64)
+    hashes = np.empty((squares, size + TOGETHER), np.uint64)
     products = np.empty(size * width, np.float32)
     for start in range(0, len(outputs), size):
         rows, n = outputs[start : start + size].ravel(), min(size, len(outputs) - start)
         some = elements[start * len(layer.places) :]
-        _hash_of(some, layer, hashes[:, :n])
+        _hash_of(some, layer, lines, hashes[:, :n])
         for i in range(n):
             rows[i * width : (i + 1) * width] = of_empty
-        for square in range(len(weights)):
+        for square in range(squares):
             count, members = _find_kinds_of(hashes[square, :n], kinds)
-            _filter_of(some, layer, layer.begins[square], kinds, count)
+            _filter_of(some, layer, layer.begins[begin + square], kinds, count)
             for rank in range(0, count, FEW):
                 for column in range(0, width, PANEL):
                     multiply(products, column, width, kinds.made, rank, weights[square])
@@ -281,6 +312,7 @@ def _outputs(
 def _gradients(
     elements: Array,
     layer: FilterLayer,
+    lines: Lines,
     size: int,
     linear: Array,
     by_outputs: Array,
@@ -290,29 +322,26 @@ def _gradients(
     by_filters: Array,
     by_biases: Array,
 ) -> None:
-    """Find the gradients of all pictures, a block of ``size`` after the other.
+    """Find the gradients by some lines of all pictures, a block of ``size`` after the other.
 
-    Into ``by_linear`` go those by the weights ``linear``. ``of_empty`` is what filters make of an empty
+    Into ``by_linear`` go those by their weights, of ``linear``. ``of_empty`` is what filters make of an empty
     picture, and ``total`` the sum of ``by_outputs``. To ``by_filters`` and ``by_biases`` others are added. Of
     ``by_biases``, the first sixteen are what squares that are not empty add to the gradients by the filters'
     biases; the others are what they would add if they were empty, and the biases above 0.
     """
-    width, kinds, weights = (
-        by_outputs.shape[1],
-        _no_kinds_of(size),
-        _by_output_of(linear, by_outputs.shape[1]),
-    )
+    width, kinds, (begin, squares) = by_outputs.shape[1], _no_kinds_of(size), _places_in(layer, lines)
+    weights = _by_output_of(linear, width, begin, squares)
     by_weights = np.zeros(weights.size, np.float32)
     # With a few columns more, a picture's hashes do not all fall into the same set of the cache.
-    hashes = np.empty((len(weights), size + TOGETHER), np.uint64)
+    hashes = np.empty((squares, size + TOGETHER), np.uint64)
     sums, by_made = np.zeros(size * width, np.float32), np.empty(size * FILTERS, np.float32)
     for start in range(0, len(by_outputs), size):
         by, n = by_outputs[start : start + size].ravel(), min(size, len(by_outputs) - start)
         some = elements[start * len(layer.places) :]
-        _hash_of(some, layer, hashes[:, :n])
-        for square in range(len(weights)):
+        _hash_of(some, layer, lines, hashes[:, :n])
+        for square in range(squares):
             count, members = _find_kinds_of(hashes[square, :n], kinds)
-            _filter_of(some, layer, layer.begins[square], kinds, count)
+            _filter_of(some, layer, layer.begins[begin + square], kinds, count)
             sums[: count * width] = 0
             for k in range(members):
                 at, of = kinds.ranks[k] * width, kinds.members[k] * width
@@ -328,8 +357,8 @@ def _gradients(
                 add(by_biases, FILTERS, by_made, rank * FILTERS)
                 keep(by_made, rank * FILTERS, kinds.flags[rank])
                 add(by_biases, 0, by_made, rank * FILTERS)
-            _filter_gradients_of(some, layer, layer.begins[square], kinds, count, by_made, by_filters)
-    _add_empty_of(by_weights, width, of_empty, total, by_linear)
+            _filter_gradients_of(some, layer, layer.begins[begin + square], kinds, count, by_made, by_filters)
+    _add_empty_of(by_weights, width, begin, of_empty, total, by_linear)
 
 
 _outputs_of = compiled_loop(_outputs, convolution_vectors)
@@ -405,29 +434,50 @@ class Planes:
         )
         self._squares = (rows - 2) * (columns - 2)
         self._size = min(BLOCK, -(-max(self._n, 1) // TOGETHER) * TOGETHER)
+        # Of a block, halves have fewer equal pictures' squares than all: it is better divided by lines.
+        divided = SHARED <= self._n < BLOCK and rows > SIDE
+        edges = [0, (rows - 2) // 2, rows - 2] if divided else [0, rows - 2]
+        self._lines = [Lines(*pair) for pair in pairwise(edges)]
+
+    def _of_all_lines(self, work: Callable[[Lines], Array]) -> Array:
+        """Return the sum of what is found for all lines, which two threads may do."""
+        parts = [partial(work, lines) for lines in self._lines]
+        found = both(*parts) if len(parts) == 2 and is_free() else [part() for part in parts]
+        return found[0] if len(found) == 1 else found[0] + found[1]
 
     def outputs(self, weights: Tensor, bias: Tensor) -> Tensor:
         """Return what the linear layer makes of all pictures."""
-        width, n = len(weights), self._n
+        width, linear, outputs_of = len(weights), weights.contiguous().numpy(), _outputs_of()
         of_empty = _whole(torch.addmv(bias, weights, self._of_empty())).numpy()
-        outputs = np.empty((n, len(of_empty)), np.float32)
 
-        def write(some: slice) -> None:
-            arguments = self._size, weights.contiguous().numpy(), of_empty, outputs[some]
-            _outputs_of()(self._elements[some.start * self._picture :], self._layer, *arguments)
+        def of(lines: Lines) -> Array:
+            outputs = np.empty((self._n, len(of_empty)), np.float32)
+            others = of_empty if lines.first == 0 else np.zeros_like(of_empty)
 
-        over_rows(n, SHARED, write)
-        return torch.from_numpy(outputs)[:, :width].contiguous()
+            def write(some: slice) -> None:
+                elements = self._elements[some.start * self._picture :]
+                outputs_of(elements, self._layer, lines, self._size, linear, others, outputs[some])
+
+            over_rows(self._n, SHARED, write)
+            return outputs
+
+        return torch.from_numpy(self._of_all_lines(of))[:, :width].contiguous()
 
     def find_gradients(self, weights: Tensor, by_outputs: Tensor, found: Sequence[Tensor]) -> None:
         """Write those by filters, their biases, weights and biases, given those by the outputs."""
         layer, (by_filters, by_filter_bias, by_weights, by_bias) = self._layer, found
         by_rows, of_empty = _whole(by_outputs.t()).t().contiguous(), self._of_empty()
         torch.sum(by_outputs, 0, out=by_bias)
-        sums, by_biases = np.zeros_like(layer.weights), np.zeros(2 * FILTERS, np.float32)
         arguments = weights.contiguous(), by_rows, of_empty, by_bias, by_weights
-        arrays = (tensor.numpy() for tensor in arguments)
-        _gradients_of()(self._elements, layer, self._size, *arrays, sums, by_biases)
+        arrays, gradients_of = [tensor.numpy() for tensor in arguments], _gradients_of()
+
+        def of(lines: Lines) -> Array:
+            by_filters_and_biases = np.zeros(layer.weights.size + 2 * FILTERS, np.float32)
+            parts = np.split(by_filters_and_biases, [layer.weights.size])
+            gradients_of(self._elements, layer, lines, self._size, *arrays, *parts)
+            return by_filters_and_biases
+
+        sums, by_biases = np.split(self._of_all_lines(of), [layer.weights.size])
         whole = torch.from_numpy(sums).view(SIDE, SIDE, layer.shape[2], FILTERS)
         by_filters.copy_(whole.permute(3, 2, 0, 1))
         # If all squares were empty, their biases would get these; less those of squares that are not.

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from numba import njit
 from torch import Tensor, nn
 
 from pearl_marl.base.arrays import Array
@@ -25,6 +26,15 @@ LINE = 16
 """Numbers of a cache line."""
 
 
+@njit(nogil=True, fastmath={"contract", "reassoc"})
+def _square_length(gradient: Array) -> float:
+    """Return the sum of all squares, in any order, so that it is done by vectors."""
+    length = 0.0
+    for i in range(len(gradient)):
+        length += gradient[i] * gradient[i]
+    return length
+
+
 def adam_step(
     values: Array,
     gradient: Array,
@@ -36,10 +46,7 @@ def adam_step(
     max_grad_norm: float,
 ) -> None:
     """Move all values by their gradient, in one pass; ``correction`` is of the bias of the squares' mean."""
-    length = 0.0
-    for i in range(len(gradient)):
-        length += gradient[i] * gradient[i]
-    factor = np.float32(min(max_grad_norm / (math.sqrt(length) + 1e-6), 1.0))
+    factor = np.float32(min(max_grad_norm / (math.sqrt(_square_length(gradient)) + 1e-6), 1.0))
     toward, toward_square = np.float32(1 - BETA_1), np.float32(1 - BETA_2)
     rate_32, per_correction, epsilon_32 = np.float32(rate), np.float32(1 / correction), np.float32(epsilon)
     for i in range(len(values)):

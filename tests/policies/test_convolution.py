@@ -13,7 +13,7 @@ from gymnasium.spaces import Box
 from torch import Tensor, nn
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.convolution import BLOCK, SIDE, PlanesLayer, are_planes
+from pearl_marl.policies.convolution import BLOCK, SHARED, SIDE, PlanesLayer, are_planes
 from pearl_marl.policies.convolution_vectors import FILTERS, PANEL
 from pearl_marl.policies.network import Encoder
 
@@ -42,7 +42,7 @@ def planes(n: int, shape: tuple[int, ...], dtype: torch.dtype = torch.uint8, sha
 
 @pytest.mark.parametrize("dtype", [torch.bool, torch.uint8, torch.int8])
 @pytest.mark.parametrize("shape", [(10, 10, 10), (7, 7, 3), (5, 5, 2), (3, 4, 1), (3, 3, 7)])
-@pytest.mark.parametrize("n", [0, 1, BLOCK, BLOCK + 3])
+@pytest.mark.parametrize("n", [0, 1, SHARED, BLOCK, BLOCK + 3])
 @pytest.mark.parametrize("share", [0.02, 0.2, 1.0])
 def test_outputs_and_gradients_are_pytorchs(
     n: int, shape: tuple[int, ...], dtype: torch.dtype, share: float
@@ -83,16 +83,20 @@ def test_squares_are_told_apart_and_equal_ones_are_found() -> None:
     assert len(torch.unique(first, dim=0)) == len(first)
 
 
-def test_threads_change_nothing() -> None:
-    layers, obs = Layers(6, 5, 4), planes(2 * BLOCK + 1, (6, 5, 4))
+@pytest.mark.parametrize("n", [SHARED - 1, SHARED + 1, 2 * BLOCK + 1])
+def test_threads_change_nothing(n: int) -> None:
+    """Whether they divide pictures, or these pictures' lines."""
+    layers, obs = Layers(6, 5, 4), planes(n, (6, 5, 4))
     found, threads = [], torch.get_num_threads()
     try:
         for number in (1, 2):
             torch.set_num_threads(number)
-            found.append(apply(obs, *layers.parameters()))
+            outputs = apply(obs, *layers.parameters())
+            found.append((outputs, *torch.autograd.grad(outputs.square().sum(), list(layers.parameters()))))
     finally:
         torch.set_num_threads(threads)
-    assert torch.equal(*found)
+    for one, two in zip(*found, strict=True):
+        assert torch.equal(one, two)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks are of POSIX")
