@@ -31,8 +31,8 @@ TEAM: dict[str, Any] = {
     "evaluation_epsilon": 0.1,
 }
 
-# Where two foods take two players, some runs learn to fetch one of them and stay with it. Of eight seeds, one of
-# MAPPO did so with an entropy of 0.01, none with this.
+# Where two foods take two players, some runs learn to fetch one of them and stay with it. Of eight seeds, one
+# of MAPPO did so with an entropy of 0.01, none with this.
 CENTRAL: dict[str, Any] = {**AGENTS, "entropy": 0.02}
 
 # Of eight seeds of QMIX, two did so with VDN's learning rate, agents and minibatch, none with these.
