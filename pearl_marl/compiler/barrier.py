@@ -6,7 +6,8 @@ whether the other has arrived, again and again; after a while it lets other thre
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
@@ -36,9 +37,14 @@ def arrivals() -> Array:
     return np.zeros(2 * _LINE, np.int64)
 
 
-def release(shared: Array) -> None:
-    """Let both loops run to their ends without the other."""
-    shared[:] = _FOREVER
+@contextmanager
+def released_by_errors(shared: Array) -> Iterator[None]:
+    """Let a loop run to its end without the other if an error ends the block."""
+    try:
+        yield
+    except BaseException:
+        shared[:] = _FOREVER
+        raise
 
 
 def _address(context: Any, builder: Any, of: Any, array: Any, index: Any) -> Any:

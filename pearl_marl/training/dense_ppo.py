@@ -448,14 +448,12 @@ def descend(
     arguments = *loops.arguments(gradients), rows, edges, settings.clip, settings.entropy
 
     def learn(network: int) -> None:
-        _descend_of()(network, *arguments, moves, figures, shared)
+        with barrier.released_by_errors(shared):
+            _descend_of()(network, *arguments, moves, figures, shared)
 
     if threads > 1:
-        try:
+        with barrier.released_by_errors(shared):
             both(partial(learn, ACTOR), partial(learn, CRITIC))
-        except BaseException:  # where one was interrupted before it began, the other should not wait
-            barrier.release(shared)
-            raise
     else:
         learn(BOTH)
     return torch.from_numpy(figures.sum(0))

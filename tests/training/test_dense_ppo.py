@@ -135,17 +135,18 @@ def test_one_loop_learns_what_gradients_and_steps_learn(algorithm: str, env_id: 
             assert wanted == one if isinstance(wanted, int) else torch.equal(wanted, one)
 
 
-def test_a_loop_that_was_interrupted_leaves_no_other_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("stopped", [dense_ppo.ACTOR, dense_ppo.CRITIC])
+def test_a_loop_that_stops_leaves_no_other_waiting(stopped: int, monkeypatch: pytest.MonkeyPatch) -> None:
     trainer, samples, rows = trainer_with_samples("ppo", "CartPole")
     compiled, ended = dense_ppo._descend_of(), threading.Event()
 
-    def interrupted(network: int, *arguments: Any) -> None:
-        if network == dense_ppo.ACTOR:
+    def stopping(network: int, *arguments: Any) -> None:
+        if network == stopped:
             raise KeyboardInterrupt
         compiled(network, *arguments)
         ended.set()
 
-    monkeypatch.setattr(dense_ppo, "_descend_of", lambda: interrupted)
+    monkeypatch.setattr(dense_ppo, "_descend_of", lambda: stopping)
     trainer.threads = 2
     with pytest.raises(KeyboardInterrupt):
         trainer.descend(samples, rows, 1e-3)
