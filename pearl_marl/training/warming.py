@@ -9,8 +9,8 @@ from pearl_marl.envs import get_spec
 from pearl_marl.training.run import ALGORITHMS, settings_for
 
 RUNS: tuple[tuple[str, str, dict[str, Any]], ...] = (
-    ("ppo", "CartPole", {}),
-    ("ppo", "Pendulum", {}),
+    # Small minibatches are learned in one loop, and large ones each by itself.
+    *(("ppo", env_id, {"minibatch": size}) for env_id in ("CartPole", "Pendulum") for size in (64, 4096)),
     ("ppo", "Breakout", {}),
     ("pqn", "CartPole", {}),
     ("dqn", "CartPole", {"warm_up": 0}),

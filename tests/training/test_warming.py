@@ -13,7 +13,9 @@ from pearl_marl.training.warming import warm_training
 @pytest.mark.parametrize(
     ("algorithm", "env_id", "given"),
     [
+        ("ppo", "CartPole", {"rollout_length": 2}),
         ("ppo", "Pendulum", {"rollout_length": 2}),
+        ("ppo", "Pendulum", {"rollout_length": 2, "minibatch": 64}),
         ("ppo", "LevelBasedForaging", {"rollout_length": 2}),
         ("mappo", "LevelBasedForaging", {"rollout_length": 2}),
         ("pqn", "Blackjack", {"rollout_length": 2}),
