@@ -95,7 +95,7 @@ def unpacked(spec: EnvSpec, rows: Array, out: Array | None = None) -> Array:
     """Return observations of shape ``(n, *spec.observation_shape)`` of packed ones, shape ``(n, bytes)``.
 
     ``spec`` is that of the environment with its observations as they are. Into ``out`` they are written, if
-    it is given.
+    it is given: an array of that shape, of the observations' dtype, whose elements follow each other.
     """
     check_spec(spec)
     rows = np.asarray(rows)
@@ -109,8 +109,12 @@ def unpacked(spec: EnvSpec, rows: Array, out: Array | None = None) -> Array:
         )
     words = np.ascontiguousarray(rows).view(layout)[:, 0]
     columns = tuple(np.ascontiguousarray(words[f.name], f.dtype) for f in spec.observation)
-    observations = out
-    if observations is None:
-        observations = np.empty((len(rows), *spec.observation_shape), spec.observation_dtype)
+    shape, dtype = (len(rows), *spec.observation_shape), np.dtype(spec.observation_dtype)
+    observations = np.empty(shape, dtype) if out is None else out
+    if observations.shape != shape or observations.dtype != dtype or not observations.flags.c_contiguous:
+        raise ArgumentError(
+            f"out has the dtype {observations.dtype} and the shape {observations.shape}; {spec.name}'s "
+            f"observations take a contiguous array of {dtype} of the shape {shape}"
+        )
     compile_kernels(spec).deliver(columns, observations, len(rows))
     return observations

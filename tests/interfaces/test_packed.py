@@ -83,3 +83,15 @@ def test_what_is_never_packed() -> None:
 def test_other_rows_are_refused(rows: np.ndarray) -> None:
     with pytest.raises(ArgumentError, match=r"Seaquest's are uint8 of the shape \(n, 69\)"):
         pearl_marl.unpacked(pearl_marl.get_spec("Seaquest"), rows)
+
+
+def test_where_they_are_written() -> None:
+    spec, rows = pearl_marl.get_spec("Seaquest"), np.zeros((3, 69), np.uint8)
+    out = np.ones((3, *spec.observation_shape), spec.observation_dtype)
+    assert pearl_marl.unpacked(spec, rows, out) is out
+    assert np.array_equal(out, pearl_marl.unpacked(spec, rows))
+    for other in (out[:2], out.view(np.uint8).astype(np.int16), np.asfortranarray(out)):
+        with pytest.raises(
+            ArgumentError, match=r"take a contiguous array of bool of the shape \(3, 10, 10, 10\)"
+        ):
+            pearl_marl.unpacked(spec, rows, other)
