@@ -217,22 +217,26 @@ class RolloutWorker:
 
         Note what the critic expects, if the same layers find it.
         """
-        if self.spec.turns:
-            rows = self.agents.acting.nonzero()[:, 0]  # the others are asked nothing
-            outputs = torch.full((len(inputs.obs), self.model.policy.outputs), MASKED, device=self.where)
-            values = torch.zeros(len(inputs.obs), device=self.where)
-            outputs[rows], values[rows] = self._asked(inputs.pick(rows))
-        elif len(self.blocks) > 1:
-            parts = [self._asked(inputs.pick(block)) for block in self.blocks]
-            outputs, values = (torch.cat(part) for part in zip(*parts, strict=True))
-        else:
-            outputs, values = self._asked(inputs)
+        parts = [self._asked(inputs.pick(block), self.agents.acting[block]) for block in self.blocks]
+        outputs, values = map(torch.cat, zip(*parts, strict=True)) if len(parts) > 1 else parts[0]
         if self.model.shared:
             self.expects.append(values)
         return outputs
 
-    def _asked(self, inputs: Inputs) -> tuple[Tensor, Tensor]:
-        """Return the policy's outputs, and what the critic expects; 0 where that takes layers of its own."""
+    def _asked(self, inputs: Inputs, acting: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the outputs for a block, and what the critic expects; 0 where that takes layers of its own.
+
+        In games of turns, agents that wait are asked nothing.
+        """
+        if not self.spec.turns:
+            return self._answers(inputs)
+        outputs = torch.full((len(acting), self.model.policy.outputs), MASKED, device=self.where)
+        values, rows = torch.zeros(len(acting), device=self.where), acting.nonzero()[:, 0]
+        outputs[rows], values[rows] = self._answers(inputs.pick(rows))
+        return outputs, values
+
+    def _answers(self, inputs: Inputs) -> tuple[Tensor, Tensor]:
+        """Return the same for agents that all act."""
         if self.model.shared:
             outputs, values = self.model(inputs)
             return outputs, values

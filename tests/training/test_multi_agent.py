@@ -23,6 +23,7 @@ training = importlib.import_module("pearl_marl.training.run")
 network = importlib.import_module("pearl_marl.policies.network")
 trained = importlib.import_module("pearl_marl.policies.trained")
 agents = importlib.import_module("pearl_marl.training.agents")
+rollout = importlib.import_module("pearl_marl.training.rollout")
 
 Pearl = Callable[..., tuple[int, str, str]]
 
@@ -101,6 +102,18 @@ def test_logits_of_masked_actions_have_no_probability_and_no_gradient() -> None:
     assert (gradient[0, [1, 2, 4, 5, 6]] == 0).all()
     outputs.backward(gradient)
     assert (trainer.policy.network.output.bias.grad[[1, 2, 4, 5, 6]] == 0).all()
+
+
+def test_blocks_of_a_game_of_turns_are_asked_alone() -> None:
+    """So a part of the agents does what it does among all, to the last bit, by whatever number of shards."""
+    trainer = trainer_of("ppo", "ConnectFour", n_agents=1024, rollout_length=4, blocks=8)
+    whole = trainer.worker.gather(0)
+    for blocks in (range(4), range(6, 8)):
+        worker = rollout.RolloutWorker(trainer.policy.spec, "native", trainer.settings, trainer.model, blocks)
+        part = worker.gather(0)
+        columns = slice(128 * blocks.start, 128 * blocks.stop)
+        for name in ("actions", "log_probs", "advantages", "returns"):
+            assert torch.equal(getattr(part, name), getattr(whole, name)[:, columns]), name
 
 
 def test_who_waits_is_credited_with_what_the_other_does() -> None:
