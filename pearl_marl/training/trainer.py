@@ -55,8 +55,9 @@ class EpisodeReturns:
         number = torch.arange(1, steps + 1, device=rewards.device)[:, None]
         # An agent's finished episodes together are all that it had up to the last step that ended one.
         last = (ended * number).amax(0)
-        until_last = torch.stack(((rewards * (number <= last)).sum(0, dtype=torch.float64), last.double()))
-        until_last = (self._under_way + until_last) * (last > 0)
+        earned = rewards.masked_fill(number > last, 0).sum(0, dtype=torch.float64)
+        until_last = self._under_way + torch.stack((earned, last.double()))
+        until_last = until_last.masked_fill(last == 0, 0)
         self._under_way[0] += rewards.sum(0, dtype=torch.float64)
         self._under_way[1] += steps
         self._under_way -= until_last

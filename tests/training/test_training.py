@@ -141,6 +141,13 @@ def test_returns_are_those_of_the_episodes_that_ended() -> None:
         assert figures["train_length"] == pytest.approx(expected["length_mean"])
 
 
+def test_rewards_after_an_end_do_not_count_in_what_has_ended() -> None:
+    returns = trainers.EpisodeReturns(2, torch.device("cpu"))
+    rewards = torch.tensor([[1.0, float("inf")], [float("inf"), 1.0]])
+    returns.add(rewards, torch.tensor([[True, False], [False, False]]))
+    assert returns.take() == {"train_return": 1.0, "train_length": 1.0, "episodes": 1}
+
+
 def test_advantages_are_those_of_their_definition() -> None:
     """Weighted sums of errors up to the end of the episode; cut short, with what was to come."""
     given = {
