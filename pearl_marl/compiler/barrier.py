@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -39,7 +38,7 @@ def arrivals() -> Array:
 
 @contextmanager
 def released_by_errors(shared: Array) -> Iterator[None]:
-    """Let a loop run to its end without the other if an error ends the block."""
+    """Have no loop wait for the other any longer if an error ends the block."""
     try:
         yield
     except BaseException:
@@ -48,8 +47,7 @@ def released_by_errors(shared: Array) -> Iterator[None]:
 
 
 def _address(context: Any, builder: Any, of: Any, array: Any, index: Any) -> Any:
-    data = import_module("numba.np.arrayobj").make_array(of)(context, builder, array).data
-    return builder.gep(data, [index])
+    return builder.gep(context.make_array(of)(context, builder, array).data, [index])
 
 
 @_intrinsic  # type: ignore[untyped-decorator]
@@ -76,11 +74,17 @@ def _read(_: Any, shared: Any, index: Any) -> Any:
 
 
 @_called
-def arrive(shared: Array, loop: int, number: int) -> None:
-    """Arrive for the ``number``-th time, from 1 on; wait until the other of the loops 0 and 1 has too."""
+def arrive(shared: Array, loop: int, number: int) -> bool:
+    """Arrive for the ``number``-th time, from 1 on; wait until the other of the loops 0 and 1 has too.
+
+    Return whether to go on: not after an error, see :func:`released_by_errors`.
+    """
     _write(shared, loop * _LINE, number)
     looks = 0
-    while _read(shared, (1 - loop) * _LINE) < number:
+    while True:
+        other: int = _read(shared, (1 - loop) * _LINE)
+        if other >= number:
+            return other != _FOREVER
         looks += 1
         if looks > _LOOKS:
             _let_others_run()

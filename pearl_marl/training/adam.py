@@ -92,12 +92,10 @@ class Adam:
         self._values = self.parameters[0].new_zeros(sum(sizes))
         self._gradient, self._mean, self._square = (torch.zeros_like(self._values) for _ in range(3))
         self._steps = 0
-        self.gradients: dict[Tensor, Tensor] = {}  # by their parameters
         parts = (torch.split(tensor, sizes) for tensor in (self._values, self._gradient))
         for parameter, *pieces in zip(self.parameters, *parts, strict=True):
             values, gradient = (piece[: parameter.numel()].view_as(parameter) for piece in pieces)
             parameter.data, parameter.grad = values.copy_(parameter.data), gradient
-            self.gradients[parameter] = gradient
 
     def zero_grad(self) -> None:
         """Forget the gradients that the parameters have."""

@@ -1,8 +1,8 @@
 """The gradients of PPO's loss, compiled: by all weights of small networks, in one pass over a minibatch.
 
 They are those that autograd finds for ``PPO.autograd``. PyTorch calls a hundred operations for each
-minibatch, and small networks would wait for these calls. The networks are those of
-:mod:`pearl_marl.policies.dense`.
+minibatch, and small networks would wait for these calls. For small minibatches, one loop goes through all of
+an update, and moves the weights too. The networks are those of :mod:`pearl_marl.policies.dense`.
 """
 
 from __future__ import annotations
@@ -201,7 +201,7 @@ _move: Callable[..., None] = called(adam.adam_step)
 
 @called
 def _gathered(samples: Samples, rows: Array) -> Samples:
-    """Return some rows but for the column, one after the other in memory: there, no loss waits for each."""
+    """Return some rows without their columns, side by side, so that the loss does not wait for each."""
     return Samples(
         samples.actions[rows],
         samples.masks[rows] if len(samples.masks) else samples.masks,
@@ -221,7 +221,7 @@ def _room(outputs: Array, stride: int, n: int) -> Scored:
 
 @called
 def _actor_gradients(weights, gradients, inputs, samples, rows, loss, figures):  # type: ignore[no-untyped-def]
-    """Compute those by the actor's weights; write all of ``figures`` but the critic's loss."""
+    """Compute the gradients by the actor's weights; write all of ``figures`` but the critic's loss."""
     actor, sums = weights.actor, gradient_sums(gradients.actor)
     by_padded, tile = padded(actor), tile_of(actor)
     n, out, taken = len(actor.bias3), len(by_padded.bias3), _gathered(samples, rows)
@@ -243,7 +243,7 @@ def _actor_gradients(weights, gradients, inputs, samples, rows, loss, figures): 
 def _critic_gradients(  # type: ignore[no-untyped-def]
     critic, gradients, inputs, agents_per_state, samples, rows, share, figures
 ):
-    """Compute those by the critic's weights; write the critic's loss."""
+    """Compute the gradients by the critic's weights; write the critic's loss."""
     by_padded, tile, sums = padded(critic), tile_of(critic), gradient_sums(gradients)
     out, outputs, returns = len(by_padded.bias3), tile.outputs, samples.returns[rows]
     column = samples.column[rows] if len(samples.column) else samples.column
@@ -319,8 +319,10 @@ def _descend(
 ) -> None:
     """Learn from minibatches, one after the other: from ``rows`` between two neighbours of ``edges``.
 
-    ``figures``, shape (2, minibatches, 4), are zeros; the actor's and the critic's are written. The thread of
-    the critic moves the weights of both.
+    ``network`` says which network this thread learns: :data:`ACTOR`, :data:`CRITIC` or :data:`BOTH`. Two
+    threads meet at the barrier of ``shared``, and that of the critic moves the weights of both. ``figures``,
+    shape (2, minibatches, 4), are zeros; losses of the actor go into the first half, of the critic into the
+    second.
     """
     state = moves.values, moves.gradient, moves.mean, moves.square
     for k in range(len(moves.rates)):
@@ -333,12 +335,12 @@ def _descend(
             critic, share = (weights.critic, gradients.critic, critic_inputs, agents_per_state), 1 / len(some)
             _critic_gradients(*critic, samples, some, share, figures[CRITIC, k])
             figures[CRITIC, k] *= share
-        if network != BOTH:
-            arrive(shared, network, 2 * k + 1)
+        if network != BOTH and not arrive(shared, network, 2 * k + 1):
+            return
         if network != ACTOR:
             _move(*state, moves.rates[k, 0], moves.rates[k, 1], moves.epsilon, moves.max_grad_norm)
-        if network != BOTH:
-            arrive(shared, network, 2 * k + 2)
+        if network != BOTH and not arrive(shared, network, 2 * k + 2):
+            return
 
 
 def _shared_gradients(
@@ -444,7 +446,8 @@ def descend(
     edges = np.cumsum([0, *map(len, minibatches)])
     moves = optimiser.steps_by_others(rate, len(minibatches))
     figures, shared = np.zeros((2, len(minibatches), 4)), barrier.arrivals()
-    gradients = loops.gradients(optimiser.gradients)
+    parameters: Any = optimiser.parameters
+    gradients = loops.gradients({parameter: parameter.grad for parameter in parameters})
     arguments = *loops.arguments(gradients), rows, edges, settings.clip, settings.entropy
 
     def learn(network: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -135,22 +136,33 @@ def test_one_loop_learns_what_gradients_and_steps_learn(algorithm: str, env_id: 
             assert wanted == one if isinstance(wanted, int) else torch.equal(wanted, one)
 
 
-@pytest.mark.parametrize("stopped", [dense_ppo.ACTOR, dense_ppo.CRITIC])
-def test_a_loop_that_stops_leaves_no_other_waiting(stopped: int, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("stopped", [dense_ppo.ACTOR, dense_ppo.CRITIC, None])
+def test_a_loop_that_stops_stops_the_other(stopped: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before any weight is moved; also where an interrupt comes before the first of them has begun."""
     trainer, samples, rows = trainer_with_samples("ppo", "CartPole")
-    compiled, ended = dense_ppo._descend_of(), threading.Event()
+    before = [parameter.clone() for parameter in trainer.model.parameters()]
+    compiled, other = dense_ppo._descend_of(), []
 
     def stopping(network: int, *arguments: Any) -> None:
         if network == stopped:
             raise KeyboardInterrupt
         compiled(network, *arguments)
-        ended.set()
+
+    def interrupted(_: Callable[[], None], second: Callable[[], None]) -> None:
+        other.append(threading.Thread(target=second))
+        other[0].start()
+        raise KeyboardInterrupt
 
     monkeypatch.setattr(dense_ppo, "_descend_of", lambda: stopping)
+    if stopped is None:
+        monkeypatch.setattr(dense_ppo, "both", interrupted)
     trainer.threads = 2
     with pytest.raises(KeyboardInterrupt):
         trainer.descend(samples, rows, 1e-3)
-    assert ended.wait(60)
+    for thread in other:
+        thread.join(60)
+        assert not thread.is_alive()
+    assert all(map(torch.equal, before, trainer.model.parameters()))
 
 
 @pytest.mark.parametrize("n", [40, ROWS])
