@@ -244,9 +244,8 @@ def _by_output(weights: Array, width: int, begin: int, count: int) -> Array:
     for square in range(len(found)):
         for output in range(len(weights)):
             for number in range(FILTERS):
-                found[square, output * FILTERS + number] = weights[
-                    output, (begin + square) * FILTERS + number
-                ]
+                weight = weights[output, (begin + square) * FILTERS + number]
+                found[square, output * FILTERS + number] = weight
     return found
 
 
@@ -324,10 +323,11 @@ def _gradients(
 ) -> None:
     """Find the gradients by some lines of all pictures, a block of ``size`` after the other.
 
-    Into ``by_linear`` go those by their weights, of ``linear``. ``of_empty`` is what filters make of an empty
-    picture, and ``total`` the sum of ``by_outputs``. To ``by_filters`` and ``by_biases`` others are added. Of
-    ``by_biases``, the first sixteen are what squares that are not empty add to the gradients by the filters'
-    biases; the others are what they would add if they were empty, and the biases above 0.
+    Write those by the weights ``linear`` of these lines into ``by_linear``; add those by the filters to
+    ``by_filters`` and ``by_biases``. ``of_empty`` is what filters make of an empty picture, and ``total`` the
+    sum of ``by_outputs``. Of ``by_biases``, the first sixteen are what squares that are not empty add to the
+    gradients by the filters' biases; the others are what they would add if they were empty, and the biases
+    above 0.
     """
     width, kinds, (begin, squares) = by_outputs.shape[1], _no_kinds_of(size), _places_in(layer, lines)
     weights = _by_output_of(linear, width, begin, squares)

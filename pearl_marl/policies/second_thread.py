@@ -1,4 +1,4 @@
-"""A second thread: for half of what compiled loops do row by row, and for what can be done ahead."""
+"""A second thread: for half of what compiled loops do, and for what can be done ahead."""
 
 from __future__ import annotations
 
@@ -12,11 +12,19 @@ from typing import TypeVar
 
 import torch
 
+_of_thread = threading.local()
+
 
 @cache
 def _thread(use: str) -> ThreadPoolExecutor:
     """Return the second thread for a use; each has its own, so that none waits for another."""
-    return ThreadPoolExecutor(1, f"pearl-{use}", torch.set_num_threads, (1,))
+    return ThreadPoolExecutor(1, f"pearl-{use}", _be_alone)
+
+
+def _be_alone() -> None:
+    """Have this thread use no other one."""
+    torch.set_num_threads(1)
+    _of_thread.threads = 1
 
 
 if hasattr(os, "register_at_fork"):
@@ -25,11 +33,9 @@ if hasattr(os, "register_at_fork"):
 
 T = TypeVar("T")
 
-_of_thread = threading.local()
-
 
 def is_free() -> bool:
-    """Return whether there is a second thread, and nothing that this thread waits for uses it."""
+    """Return whether this thread may use the second: there is one, and it is not inside :func:`both`."""
     threads: int = getattr(_of_thread, "threads", 0) or torch.get_num_threads()
     return threads > 1
 
@@ -60,7 +66,7 @@ def _threads(number: int) -> Iterator[None]:
 
 
 def both(one: Callable[[], T], other: Callable[[], T]) -> tuple[T, T]:
-    """Call two functions, the other by the second thread; return their results.
+    """Call ``one`` in this thread and ``other`` in the second; return their results.
 
     The functions must release Python's lock for most of their time.
     """

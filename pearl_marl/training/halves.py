@@ -17,7 +17,10 @@ from pearl_marl.base.arrays import Array
 from pearl_marl.policies.second_thread import both, is_free
 
 SECOND_THREAD = 1 << 16
-"""Rows times width of a minibatch from which on a second thread does half of it."""
+"""Rows times width of a minibatch from which on a second thread does half of it.
+
+Of smaller ones of PPO, it finds the critic's gradients: see :func:`pearl_marl.training.dense_ppo.descend`.
+"""
 
 
 class Halves:
@@ -33,7 +36,7 @@ class Halves:
     width
         Of its layers.
     weights
-        Returns what a half is given to write its gradients into, of a tensor for each parameter.
+        Given a tensor for each parameter, returns where a half writes its gradients.
     """
 
     def __init__(

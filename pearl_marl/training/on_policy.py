@@ -144,8 +144,8 @@ class OnPolicyTrainer(Trainer):
     def descend(self, samples: RolloutBuffer, rows: Tensor, rate: float) -> Tensor:
         """Learn from minibatches of these rows, one after the other; return the losses of each."""
         gradients, losses = self.gradients(samples), []
-        shared = self.halves.shared(min(self.minibatch, len(rows)))
-        with left_to_loops() if self.compiled else shared:
+        most = min(self.minibatch, len(rows))
+        with left_to_loops() if self.compiled else self.halves.shared(most):
             for minibatch in self.minibatches(rows):
                 losses.append(gradients(minibatch))
                 self.optimiser.step(rate)
