@@ -41,18 +41,18 @@ def is_free() -> bool:
 
 
 @contextmanager
-def left_to_loops() -> Iterator[None]:
-    """Leave the second thread to compiled loops in the block: PyTorch has one thread.
+def left_to_loops(threads: int) -> Iterator[None]:
+    """Leave so many threads to compiled loops in the block: PyTorch has one.
 
     PyTorch's second thread looks for more work for a while, and takes the time of the loops' then.
     """
-    threads = torch.get_num_threads()
+    before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
         with _threads(threads):
             yield
     finally:
-        torch.set_num_threads(threads)
+        torch.set_num_threads(before)
 
 
 @contextmanager

@@ -145,7 +145,7 @@ class OnPolicyTrainer(Trainer):
         """Learn from minibatches of these rows, one after the other; return the losses of each."""
         gradients, losses = self.gradients(samples), []
         most = min(self.minibatch, len(rows))
-        with left_to_loops() if self.compiled else self.halves.shared(most):
+        with left_to_loops(self.threads) if self.compiled else self.halves.shared(most):
             for minibatch in self.minibatches(rows):
                 losses.append(gradients(minibatch))
                 self.optimiser.step(rate)

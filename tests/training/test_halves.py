@@ -95,3 +95,21 @@ def test_threads_are_given_back() -> None:
     assert torch.get_num_threads() == 2
     trainer.iterate()
     assert torch.get_num_threads() == 2
+
+
+def test_loops_have_a_second_thread_where_pytorch_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer = made("ppo", "CartPole", minibatch=512, width=128)
+    both, shared = halves.both, []
+
+    def counted(one: Any, other: Any) -> Any:
+        shared.append(torch.get_num_threads())
+        return both(one, other)
+
+    monkeypatch.setattr(halves, "both", counted)
+    torch.set_num_threads(2)
+    trainer.iterate()
+    assert set(shared) == {1}
+    torch.set_num_threads(1)
+    shared.clear()
+    trainer.iterate()
+    assert not shared
