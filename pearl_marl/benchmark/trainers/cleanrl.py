@@ -1,4 +1,4 @@
-"""PPO as CleanRL writes it, on EnvPool: one file from top to bottom, and nothing hidden.
+"""PPO as CleanRL writes it, mostly on EnvPool: one file from top to bottom, and nothing hidden.
 
 Written after the algorithm of CleanRL's ``ppo_atari_envpool.py`` (Huang et al., 2022, JMLR 23:274), with its
 details: orthogonal weights, Adam with an epsilon of 1e-5, a learning rate that falls evenly, advantages
@@ -23,6 +23,8 @@ from torch.distributions import Categorical
 from pearl_marl.benchmark.peers import quiet_spaces
 from pearl_marl.benchmark.training import TrainingTask
 from pearl_marl.benchmark.watch import Watch
+
+from . import worlds
 
 
 class Normalised:
@@ -89,18 +91,43 @@ class Agent(nn.Module):
         values: Tensor = self.critic(self.shared(obs))
         return values[:, 0]
 
-    def forward(self, obs: Tensor, actions: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def logits(self, features: Tensor, masks: Tensor | None = None) -> Tensor:
+        """Return those of the actions; an action that may not be taken has practically no probability."""
+        found: Tensor = self.actor(features)
+        return found if masks is None else found.masked_fill(masks == 0, -1e8)
+
+    def forward(
+        self, obs: Tensor, masks: Tensor | None, actions: Tensor | None = None
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return actions, drawn unless given, their log-probabilities, entropies, and values."""
         features = self.shared(obs)
-        chances = Categorical(logits=self.actor(features))
+        chances = Categorical(logits=self.logits(features, masks))
         if actions is None:
             actions = chances.sample()  # type: ignore[no-untyped-call]
         logs = chances.log_prob(actions)  # type: ignore[no-untyped-call]
         return actions, logs, chances.entropy(), self.critic(features)[:, 0]  # type: ignore[no-untyped-call]
 
 
+class Worlds:
+    """The agents of our worlds as Gymnasium's vector environments, with masks of their actions."""
+
+    def __init__(self, env: Any, seed: int) -> None:
+        self.env, self.seed = env, seed
+        self.observation_space, self.action_space = env.batch.observation_space, env.batch.action_space
+
+    def reset(self) -> tuple[npt.NDArray[Any], dict[str, Any]]:
+        """Return the first observations; and in a dict, masks, as :meth:`step` does."""
+        return self.env.reset_batch(self.seed), {"masks": self.env.action_masks}
+
+    def step(self, actions: npt.NDArray[Any]) -> tuple[Any, ...]:
+        """Step all; return what Gymnasium's environments do."""
+        return *self.env.step_batch(actions)[:4], {"masks": self.env.action_masks}
+
+
 def environments(task: TrainingTask, n: int, seed: int) -> Any:
-    """Return EnvPool's environments, or MinAtar's own through Gymnasium where EnvPool has no such game."""
+    """Return EnvPool's environments; where its rules are others, our worlds or MinAtar's own games."""
+    if task.spec.agents > 1:
+        return Worlds(worlds.environments(task, n), seed)
     oracle = task.spec.oracle or ""
     if "MinAtar" not in oracle:
         from . import envpool_agents
@@ -109,6 +136,12 @@ def environments(task: TrainingTask, n: int, seed: int) -> Any:
     envs = gymnasium.make_vec(oracle, num_envs=n, vectorization_mode="sync")
     envs.reset(seed=seed)
     return envs
+
+
+def masks_in(infos: Any) -> Tensor | None:
+    """Return which actions may be taken, or None where all may."""
+    masks = infos.get("masks")
+    return None if masks is None else torch.from_numpy(masks)
 
 
 def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
@@ -136,15 +169,22 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     obs = torch.zeros((depth, n, *shape))
     actions = torch.zeros((depth, n), dtype=torch.int64)
     logs, rewards, dones, values = (torch.zeros((depth, n)) for _ in range(4))
-    observed = envs.reset()[0]
+    observed, infos = envs.reset()
     if update:
         update(observed)
     next_obs, next_done = torch.from_numpy(prepared(observed)), torch.zeros(n)
+    next_masks = masks_in(infos)
+    masks = None if next_masks is None else next_masks.expand(depth, -1, -1).clone()
 
-    def choose(observations: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def choose(observations: npt.NDArray[Any], allowed: npt.NDArray[Any] | None = None) -> npt.NDArray[Any]:
+        if task.spec.agents > 1:
+            observations = worlds.indicated(observations, task.spec.agents)
         with torch.no_grad():
-            best = agent.actor(agent.shared(torch.from_numpy(prepared(observations)))).argmax(1)
-        found: npt.NDArray[Any] = best.numpy()
+            features = agent.shared(torch.from_numpy(prepared(observations)))
+            logits = agent.logits(features, None if allowed is None else torch.from_numpy(allowed))
+            drawn: Tensor = Categorical(logits=logits).sample()  # type: ignore[no-untyped-call]
+            chosen = drawn if settings.temperature else logits.argmax(1)
+        found: npt.NDArray[Any] = chosen.numpy()
         return found
 
     watch.start()
@@ -152,15 +192,18 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
         optimiser.param_groups[0]["lr"] = settings.learning_rate * (1 - iteration / settings.iterations)
         for t in range(depth):
             obs[t], dones[t] = next_obs, next_done
+            if masks is not None and next_masks is not None:
+                masks[t] = next_masks
             with torch.no_grad():
-                actions[t], logs[t], _, values[t] = agent(next_obs)
+                actions[t], logs[t], _, values[t] = agent(next_obs, next_masks)
             taken = actions[t].numpy().astype(actions_space.dtype)
-            observed, reward, terminations, truncations, _ = envs.step(taken)
+            observed, reward, terminations, truncations, infos = envs.step(taken)
             if update:
                 update(observed)
             rewards[t] = torch.from_numpy(np.asarray(reward, np.float32)) * settings.reward_scale
             next_obs = torch.from_numpy(prepared(observed))
             next_done = torch.from_numpy((terminations | truncations).astype(np.float32))
+            next_masks = masks_in(infos)
 
         with torch.no_grad():
             following, done, gain = agent.value(next_obs), next_done, torch.zeros(n)
@@ -172,13 +215,15 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
             returns = gains + values
 
         flat = [array.flatten(0, 1) for array in (obs, actions, logs, gains, returns)]
+        flat_masks = None if masks is None else masks.flatten(0, 1)
         order = np.arange(batch)
         for _ in range(settings.epochs):
             rng.shuffle(order)
             for start in range(0, batch, settings.minibatch):
                 some = torch.from_numpy(order[start : start + settings.minibatch])
                 some_obs, some_actions, old, some_gains, some_returns = (array[some] for array in flat)
-                _, new, entropy, expected = agent(some_obs, some_actions)
+                some_masks = None if flat_masks is None else flat_masks[some]
+                _, new, entropy, expected = agent(some_obs, some_masks, some_actions)
                 ratio = (new - old).exp()
                 scaled = (some_gains - some_gains.mean()) / (some_gains.std() + 1e-8)
                 clipped = ratio.clamp(1 - settings.clip, 1 + settings.clip)

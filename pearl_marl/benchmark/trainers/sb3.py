@@ -1,4 +1,4 @@
-"""Stable-Baselines3's PPO and DQN on EnvPool, with our settings as far as it has them."""
+"""Stable-Baselines3's PPO and DQN, mostly on EnvPool, with our settings as far as it has them."""
 
 from __future__ import annotations
 
@@ -18,6 +18,9 @@ from torch import Tensor, nn
 from pearl_marl.benchmark.peers import quiet_spaces
 from pearl_marl.benchmark.training import TrainingTask
 from pearl_marl.benchmark.watch import Watch
+from pearl_marl.wrappers import sb3_vec_env
+
+from . import worlds
 
 
 class EnvPoolVecEnv(VecEnv):
@@ -99,7 +102,7 @@ class Picture(BaseFeaturesExtractor):
 class Watched(BaseCallback):
     """Calls a watch after every iteration, and ends the training when the watch says so."""
 
-    def __init__(self, watch: Watch, choose: Callable[[Any], Any]) -> None:
+    def __init__(self, watch: Watch, choose: Callable[..., Any]) -> None:
         super().__init__()
         self.watch, self.choose, self.over = watch, choose, False
 
@@ -119,15 +122,19 @@ class Watched(BaseCallback):
 
 
 def environments(task: TrainingTask, n: int, seed: int) -> VecEnv:
-    """Return EnvPool's environments, or MinAtar's own where EnvPool has no such game."""
+    """Return EnvPool's environments; where its rules are others, our worlds or MinAtar's own games."""
     oracle = task.spec.oracle or ""
     if "MinAtar" in oracle:
         env: VecEnv = DummyVecEnv([partial(gymnasium.make, oracle)] * n)
         env.seed(seed)
         return env
-    from . import envpool_agents
+    if task.spec.agents > 1:
+        env = sb3_vec_env(worlds.environments(task, n))
+        env.seed(seed)
+    else:
+        from . import envpool_agents
 
-    env = EnvPoolVecEnv(envpool_agents.environments(task.env_id, n, seed), n)
+        env = EnvPoolVecEnv(envpool_agents.environments(task.env_id, n, seed), n)
     vector = not isinstance(env.observation_space, Discrete)
     return VecNormalize(env, norm_reward=False) if vector else env
 
@@ -146,10 +153,18 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     if task.algorithm == "ppo":
         steps *= settings.rollout_length
     common = {"policy_kwargs": network, "seed": settings.seed, "device": "cpu"}
-    model: Any = {"ppo": _ppo, "dqn": _dqn}[task.algorithm](env, settings, common)
+    choose: Callable[..., Any]
+    if task.spec.agents > 1:
+        from sb3_contrib import MaskablePPO
+
+        model: Any = _ppo(env, settings, common, MaskablePPO)
+        choose = team_actions(model, task.spec.agents, settings.temperature)
+    else:
+        model = {"ppo": _ppo, "dqn": _dqn}[task.algorithm](env, settings, common)
+        choose = best_actions(model)
 
     try:
-        model.learn(steps, callback=Watched(watch, best_actions(model)))
+        model.learn(steps, callback=Watched(watch, choose))
     finally:
         env.close()
 
@@ -164,8 +179,18 @@ def best_actions(model: Any) -> Callable[[Any], Any]:
     return choose
 
 
-def _ppo(env: VecEnv, settings: Any, common: dict[str, Any]) -> PPO:
-    return PPO(
+def team_actions(model: Any, agents: int, temperature: float) -> Callable[[Any, Any], Any]:
+    """Return a function from what worlds return, with masks, to actions: drawn, if there is a temperature."""
+
+    def choose(obs: Any, masks: Any) -> Any:
+        rows = model.get_vec_normalize_env().normalize_obs(worlds.indicated(obs, agents))
+        return model.predict(rows, deterministic=not temperature, action_masks=masks)[0]
+
+    return choose
+
+
+def _ppo(env: VecEnv, settings: Any, common: dict[str, Any], kind: type[Any] = PPO) -> Any:
+    return kind(
         "MlpPolicy",
         env,
         n_steps=settings.rollout_length,
