@@ -83,8 +83,8 @@ class Native(Device):
         self._words = room_for_words(spec, config.n_agents)  # as the kernel takes them
         # Others are checked by what the kernel does not know: roles, and masks of before the step. Of a
         # class that does more in a step, the tick moves after that.
-        whole = type(self)._step is Native._step
-        self._checks = isinstance(spec.action_space, Discrete) and not more and whole
+        unknown = spec.roles or spec.masked == "refused" or type(self)._step is not Native._step
+        self._checks = isinstance(spec.action_space, Discrete) and not unknown
         self._set("memory", self._memory.ctypes.data)
         self._set("stored", self._stored.ctypes.data)
         self._set("first_slot", config.first_slot)
@@ -158,6 +158,8 @@ class Native(Device):
             actions = self.encoded(actions)
         tick = self._arguments[_TICK]
         try:
+            if self._remembers:
+                return self.step_words(actions)  # type: ignore[arg-type]
             # One call of the kernel moves slots and tick, so that Ctrl-C comes before both or after both.
             return self._step(actions)  # type: ignore[arg-type]
         except ActionError:
@@ -165,7 +167,7 @@ class Native(Device):
                 raise
             return super().step(actions)  # which looks whether they are of slots that only reset
         except BaseException as error:
-            if self._arguments[_TICK] != tick:
+            if self._arguments[_TICK] != tick and not self._remembers:
                 completed(error, "step")
             raise
 
