@@ -172,8 +172,8 @@ class Device(ABC):
         self._actions = room_for_words(config.spec, config.n_agents)
         self.in_episode = np.ones(config.n_agents, np.bool_)
         # Of one agent without masks nothing has to be remembered from one step to the next.
-        self._remembers = config.spec.agents > 1 or bool(config.spec.mask_fields)
-        large = config.copy and self._remembers and ResultLayout(config).size > CACHE_BYTES
+        self.remembers = config.spec.agents > 1 or bool(config.spec.mask_fields)
+        large = config.copy and self.remembers and ResultLayout(config).size > CACHE_BYTES
         self._copies = Recycler() if large else None
         self._thread = Threads(1, f"pearl-{self.name}")
         # Every step asks for these two, and finds them faster here than on the class.
@@ -303,7 +303,7 @@ class Device(ABC):
         if self.recovery is not None:
             self._note("step_words", words)
         self.tick = (tick + 1) & rng.LAST_TICK
-        if self._remembers:
+        if self.remembers:
             self._remember(result.observed)
         return result
 
@@ -480,7 +480,7 @@ class Device(ABC):
             self._step_failed()
             raise
         self.tick = (tick + 1) & rng.LAST_TICK
-        if self._remembers:
+        if self.remembers:
             self._remember(result.observed)
         return result
 

@@ -158,7 +158,7 @@ class Native(Device):
             actions = self.encoded(actions)
         tick = self._arguments[_TICK]
         try:
-            if self._remembers:
+            if self.remembers:
                 return self.step_words(actions)  # type: ignore[arg-type]
             # One call of the kernel moves slots and tick, so that Ctrl-C comes before both or after both.
             return self._step(actions)  # type: ignore[arg-type]
@@ -167,7 +167,7 @@ class Native(Device):
                 raise
             return super().step(actions)  # which looks whether they are of slots that only reset
         except BaseException as error:
-            if self._arguments[_TICK] != tick and not self._remembers:
+            if self._arguments[_TICK] != tick and not self.remembers:
                 completed(error, "step")
             raise
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pearl_marl import parallel_env
 from pearl_marl.benchmark.training import TrainingTask
+from pearl_marl.interfaces.parallel import parallel_env
 from pearl_marl.wrappers import agent_indicator_v0
 
 
