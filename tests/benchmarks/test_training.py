@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from gymnasium.spaces import Discrete
 
+from pearl_marl import parallel_env
 from pearl_marl.benchmark import training, watch
 from pearl_marl.benchmark.training import OURS, TASKS, TRAINERS, TrainerModule, TrainingTask
 from pearl_marl.benchmark.watch import Watch
@@ -184,6 +185,15 @@ class Looking(Watch):
             assert masks[np.arange(8), actions].all()
         assert actions.shape == (8,)
         return super().__call__(agent_steps, choose)
+
+
+def test_worlds_and_evaluations_say_alike_who_observes() -> None:
+    worlds = importlib.import_module("pearl_marl.benchmark.trainers.worlds")
+    task = next(task for task in TASKS if task.name == "PPO foraging")
+    env, bare = worlds.environments(task, 8), parallel_env(task.env_id, n_agents=8)
+    obs = env.reset_batch(3)
+    np.testing.assert_array_equal(worlds.indicated(bare.reset_batch(3), 2), obs)
+    np.testing.assert_array_equal(obs[:, -2:], np.tile(np.eye(2), (4, 1)))
 
 
 # ---- In turns, each in a process of its own ----

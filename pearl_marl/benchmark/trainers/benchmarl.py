@@ -24,6 +24,8 @@ from pearl_marl.spec import EnvSpec
 from pearl_marl.training.run import ALGORITHMS as TRAINERS
 from pearl_marl.wrappers import agent_indicator_v0, benchmarl_task, dtype_v0, reward_lambda_v0
 
+from .worlds import indicated
+
 ALGORITHMS: dict[str, Any] = {
     "ppo": IppoConfig,
     "mappo": MappoConfig,
@@ -66,8 +68,7 @@ def actions(policy: Any, group: str, spec: EnvSpec, settings: Any) -> Callable[[
     def choose(obs: Any, masks: Any = None) -> Any:
         worlds = len(obs) // spec.agents
         shape = worlds, spec.agents
-        rows = torch.as_tensor(obs, dtype=torch.float32).reshape(*shape, -1)
-        seen = {"observation": torch.cat([rows, torch.eye(spec.agents).expand(worlds, -1, -1)], 2)}
+        seen = {"observation": torch.from_numpy(indicated(obs, spec.agents)).reshape(*shape, -1)}
         possible = torch.ones((len(obs), int(space.n)), dtype=torch.bool)
         if masks is not None:
             possible = torch.as_tensor(masks, dtype=torch.bool)
