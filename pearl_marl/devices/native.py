@@ -158,7 +158,7 @@ class Native(Device):
             actions = self.encoded(actions)
         tick = self._arguments[_TICK]
         try:
-            if self.remembers:
+            if self.remembers:  # which step_words() does, and keeps Ctrl-C off until it has
                 return self.step_words(actions)  # type: ignore[arg-type]
             # One call of the kernel moves slots and tick, so that Ctrl-C comes before both or after both.
             return self._step(actions)  # type: ignore[arg-type]
