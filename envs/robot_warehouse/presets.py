@@ -16,7 +16,6 @@ AGENTS: dict[str, Any] = {
     "gae_lambda": 0.95,
     "entropy": 0.01,
     "reward_scale": 10.0,
-    "width": 128,
     "sharing": "indicator",
     "temperature": 0.7,
 }
