@@ -180,13 +180,13 @@ def _bend(h: Array, n: int, rectified: bool) -> None:
 
 
 @_inlined
-def _up(number: int, step: int) -> int:
+def rounded_up(number: int, step: int) -> int:
     """Return a number rounded up to a multiple of a step."""
     return -(-number // step) * step
 
 
 @called
-def _product(c, width, a, down, along, b, across, high, wide, depth):  # type: ignore[no-untyped-def]
+def product(c, width, a, down, along, b, across, high, wide, depth):  # type: ignore[no-untyped-def]
     """Add to ``high`` rows of ``c`` the products of rows of ``a`` and columns of ``b``."""
     for row in range(0, high, HIGH):
         for column in range(0, wide, WIDE):
@@ -227,7 +227,7 @@ def padded(layers: Layers) -> Padded:
     """Return weights as products need them."""
     width, inputs = layers.first.shape
     outputs = layers.third.shape[0]
-    high, wide, out = _up(width, WIDE), _up(inputs, HIGH), _up(outputs, WIDE)
+    high, wide, out = rounded_up(width, WIDE), rounded_up(inputs, HIGH), rounded_up(outputs, WIDE)
     first, second = np.zeros(wide * high, np.float32), np.zeros(high * high, np.float32)
     third, second_back = np.zeros(high * out, np.float32), np.zeros(high * high, np.float32)
     third_back = np.zeros(outputs * high, np.float32)
@@ -249,8 +249,8 @@ def padded(layers: Layers) -> Padded:
 def tile_of(layers: Layers) -> Tile:
     """Return memory for a few rows."""
     width, inputs = layers.first.shape
-    high, wide = ROWS * _up(width, WIDE), ROWS * _up(inputs, HIGH)
-    out = ROWS * _up(layers.third.shape[0], WIDE)
+    high, wide = ROWS * rounded_up(width, WIDE), ROWS * rounded_up(inputs, HIGH)
+    out = ROWS * rounded_up(layers.third.shape[0], WIDE)
     normed, rows = (high, ROWS) if layers.layer_norm else (0, 0)
     return Tile(
         np.zeros(wide, np.float32),
@@ -267,7 +267,8 @@ def tile_of(layers: Layers) -> Tile:
 
 
 @called
-def _biased(h: Array, bias: Array, rows: int) -> None:
+def begin_with(h: Array, bias: Array, rows: int) -> None:
+    """Set some rows to the biases."""
     width = len(bias)
     for row in range(rows):
         for i in range(width):
@@ -311,10 +312,10 @@ def _through_norm(by: Array, width: int, high: int, rows: int, norm: Array, scal
 def forward_rows(layers: Layers, weights: Padded, observed: NetworkInputs, rows: Array, tile: Tile) -> None:
     """Compute the outputs of at most :data:`ROWS` rows, into the tile."""
     inputs, n = layers.first.shape[1], len(rows)
-    high, wide, out = len(weights.bias1), _up(inputs, HIGH), len(weights.bias3)
+    high, wide, out = len(weights.bias1), rounded_up(inputs, HIGH), len(weights.bias3)
     x, h1, h2 = tile.x, tile.h1, tile.h2
-    some = _up(n, HIGH)
-    _biased(h1, weights.bias1, some)
+    some = rounded_up(n, HIGH)
+    begin_with(h1, weights.bias1, some)
     for s in range(n):
         for part in range(observed.numbers.shape[1]):
             number = observed.numbers[rows[s], part]
@@ -333,18 +334,18 @@ def forward_rows(layers: Layers, weights: Padded, observed: NetworkInputs, rows:
                 value = (given[k] - observed.mean[k]) * observed.scale[k]
                 made[k] = min(max(value, -_FARTHEST), _FARTHEST)
         x[n * wide : some * wide] = 0
-        _product(h1, high, x, wide, 1, weights.first, high, some, high, inputs)
+        product(h1, high, x, wide, 1, weights.first, high, some, high, inputs)
     width = layers.first.shape[0]
     if layers.layer_norm:
         _standardised(h1, width, high, some, tile.norm1, tile.scale1)
     _bend(h1, some * high, layers.rectified)
-    _biased(h2, weights.bias2, some)
-    _product(h2, high, h1, high, 1, weights.second, high, some, high, high)
+    begin_with(h2, weights.bias2, some)
+    product(h2, high, h1, high, 1, weights.second, high, some, high, high)
     if layers.layer_norm:
         _standardised(h2, width, high, some, tile.norm2, tile.scale2)
     _bend(h2, some * high, layers.rectified)
-    _biased(tile.outputs, weights.bias3, some)
-    _product(tile.outputs, out, h2, high, 1, weights.third, out, some, out, high)
+    begin_with(tile.outputs, weights.bias3, some)
+    product(tile.outputs, out, h2, high, 1, weights.third, out, some, out, high)
 
 
 @called
@@ -354,14 +355,14 @@ def gradient_sums(gradients: Layers) -> Padded:
     gradients.indicator[:] = 0
     width, inputs = gradients.first.shape
     outputs = gradients.third.shape[0]
-    high, wide, out = _up(width, WIDE), _up(inputs, HIGH), _up(outputs, WIDE)
+    high, wide, out = rounded_up(width, WIDE), rounded_up(inputs, HIGH), rounded_up(outputs, WIDE)
     none = np.zeros(0, np.float32)
     return Padded(
         np.zeros(wide * high, np.float32),
         np.zeros(high, np.float32),
         np.zeros(high * high, np.float32),
         np.zeros(high, np.float32),
-        np.zeros(_up(outputs, HIGH) * high, np.float32),
+        np.zeros(rounded_up(outputs, HIGH) * high, np.float32),
         np.zeros(out, np.float32),
         none,
         none,
@@ -369,7 +370,8 @@ def gradient_sums(gradients: Layers) -> Padded:
 
 
 @called
-def _columns(by: Array, bias: Array, rows: int) -> None:
+def column_sums(by: Array, bias: Array, rows: int) -> None:
+    """Add some rows to the biases."""
     width = len(bias)
     for row in range(rows):
         for i in range(width):
@@ -401,26 +403,26 @@ def backward_rows(
     The tile's ``outputs`` hold the gradients by these; zeros, where there is no such row or output.
     """
     outputs, n, width = layers.third.shape[0], len(rows), layers.first.shape[0]
-    high, wide, out = len(weights.bias1), _up(layers.first.shape[1], HIGH), len(weights.bias3)
+    high, wide, out = len(weights.bias1), rounded_up(layers.first.shape[1], HIGH), len(weights.bias3)
     by, h1, h2, by_h2, by_h1 = tile.outputs, tile.h1, tile.h2, tile.by_h2, tile.by_h1
-    some = _up(n, HIGH)
-    _columns(by, total.bias3, some)
-    _product(total.third, high, by, 1, out, h2, high, _up(outputs, HIGH), high, some)
+    some = rounded_up(n, HIGH)
+    column_sums(by, total.bias3, some)
+    product(total.third, high, by, 1, out, h2, high, rounded_up(outputs, HIGH), high, some)
     by_h2[: some * high] = 0
-    _product(by_h2, high, by, out, 1, weights.third_back, high, some, high, outputs)
+    product(by_h2, high, by, out, 1, weights.third_back, high, some, high, outputs)
     _through_bend(by_h2, h2, some * high, layers.rectified)
     if layers.layer_norm:
         _through_norm(by_h2, width, high, some, tile.norm2, tile.scale2)
-    _columns(by_h2, total.bias2, some)
-    _product(total.second, high, by_h2, 1, high, h1, high, high, high, some)
+    column_sums(by_h2, total.bias2, some)
+    product(total.second, high, by_h2, 1, high, h1, high, high, high, some)
     by_h1[: some * high] = 0
-    _product(by_h1, high, by_h2, high, 1, weights.second_back, high, some, high, high)
+    product(by_h1, high, by_h2, high, 1, weights.second_back, high, some, high, high)
     _through_bend(by_h1, h1, some * high, layers.rectified)
     if layers.layer_norm:
         _through_norm(by_h1, width, high, some, tile.norm1, tile.scale1)
-    _columns(by_h1, total.bias1, some)
+    column_sums(by_h1, total.bias1, some)
     if wide:
-        _product(total.first, high, tile.x, 1, wide, by_h1, high, wide, high, some)
+        product(total.first, high, tile.x, 1, wide, by_h1, high, wide, high, some)
     for s in range(n):
         for part in range(observed.numbers.shape[1]):
             number = observed.numbers[rows[s], part]

@@ -10,6 +10,9 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import linear
+
+from pearl_marl.policies.dense_memory import GRUSteps
 
 MEMORY = ("none", "gru")
 """Possible memories of a policy."""
@@ -29,7 +32,10 @@ def acting(masks: Tensor | None) -> Tensor | None:
 
 
 class Memory(nn.Module):
-    """Memories of ``size`` numbers, which move on by as many features of each step."""
+    """Memories of ``size`` numbers, which move on by as many features of each step.
+
+    On a CPU, compiled loops move them; on a GPU, PyTorch does.
+    """
 
     def __init__(self, size: int) -> None:
         super().__init__()
@@ -41,6 +47,11 @@ class Memory(nn.Module):
         Features have the shape ``(steps * agents, size)``.
         """
         memory, begins, acts = recall
+        if not features.is_cuda:
+            cell, shape = self.cell, (-1, len(memory), 3 * memory.shape[1])
+            given = linear(features, cell.weight_ih, cell.bias_ih).reshape(shape)
+            made: Tensor = GRUSteps.apply(given, cell.weight_hh, cell.bias_hh, *recall)  # type: ignore[no-untyped-call]
+            return made
         memories = []
         for t, now in enumerate(features.reshape(-1, *memory.shape)):
             if begins is not None:

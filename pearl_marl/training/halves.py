@@ -73,21 +73,24 @@ class AutogradHalves:
     parameters
         What is learned; the gradients are left with it.
     width
-        Of the networks' layers.
-    divisible
-        Whether the loss of a minibatch is the mean of that of its rows.
+        Of the networks' layers, times the samples of a row.
     """
 
-    def __init__(self, parameters: Sequence[nn.Parameter], width: int, divisible: bool) -> None:
+    def __init__(self, parameters: Sequence[nn.Parameter], width: int) -> None:
         self._parameters, self._width = parameters, width
-        self._divisible = divisible and not parameters[0].is_cuda
+        self._divisible = not parameters[0].is_cuda
         self._helper: ThreadPoolExecutor | None = None  # only where threads are shared
 
-    def find(self, rows: Tensor, loss: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Tensor:
+    def find(
+        self,
+        rows: Tensor,
+        loss: Callable[[Tensor], tuple[Tensor, Tensor]],
+        terms: Callable[[Tensor], int] = len,
+    ) -> Tensor:
         """Leave the gradients of the loss of all rows.
 
-        ``loss`` is given rows, and returns their mean loss, and figures that are means, too. Return those
-        of all rows.
+        ``loss`` is given rows, and returns their mean loss, and figures that are means, too. ``terms`` says
+        over how many terms these means are. Return the figures of all rows.
         """
         if not self._divides(len(rows)):
             gradients, figures = self._of(rows, 1.0, loss)
@@ -96,7 +99,8 @@ class AutogradHalves:
             return figures
         middle = len(rows) // 2
         halves = rows[:middle], rows[middle:]
-        parts = [(some, len(some) / len(rows), loss) for some in halves]
+        numbers = [terms(some) for some in halves]
+        parts = [(some, n / sum(numbers), loss) for some, n in zip(halves, numbers, strict=True)]
         if self._helper is not None:
             other = self._helper.submit(self._of, *parts[1])
             first, second = self._of(*parts[0]), other.result()
@@ -107,23 +111,24 @@ class AutogradHalves:
         return first[1] + second[1]
 
     @contextmanager
-    def shared(self, rows: int) -> Iterator[None]:
-        """Share PyTorch's threads between the halves of minibatches of so many rows, as long as this lasts.
+    def shared(self, rows: int, threads: int) -> Iterator[None]:
+        """Find the halves of minibatches of so many rows at once, if there are as many threads.
 
-        To do so for each minibatch would take longer than it saves.
+        They share PyTorch's threads as long as this lasts: to do so for each minibatch would take longer
+        than it saves.
         """
-        threads = torch.get_num_threads()
         if threads == 1 or not self._divides(rows):
             yield
             return
-        half = threads // 2
+        before = torch.get_num_threads()
+        half = max(before // 2, 1)
         try:
             with ThreadPoolExecutor(1, initializer=torch.set_num_threads, initargs=(half,)) as self._helper:
                 torch.set_num_threads(half)
                 yield
         finally:
             self._helper = None
-            torch.set_num_threads(threads)
+            torch.set_num_threads(before)
 
     def _divides(self, rows: int) -> bool:
         return self._divisible and rows * self._width >= SECOND_THREAD

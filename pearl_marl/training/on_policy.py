@@ -73,10 +73,10 @@ class OnPolicyTrainer(Trainer):
         self.model.to(self.where)
         self.policy = self.model.policy
         self.optimiser = Adam(self.model.parameters(), epsilon=1e-5, max_grad_norm=self.max_grad_norm)
-        # With a memory, not all steps of a chunk are learned from, so that a loss is no mean of its halves'.
-        divisible = not self.policy.remembers
         width = settings.width * (spec.agents if self.of_teams else 1)
-        self.halves = AutogradHalves(self.optimiser.parameters, width, divisible)
+        if self.policy.remembers:
+            width *= settings.chunk_length
+        self.halves = AutogradHalves(self.optimiser.parameters, width)
         self.components = {"model": self.model, "optimiser": self.optimiser}
         self.last_losses = torch.zeros(len(self.losses), device=self.where)
 
@@ -118,6 +118,12 @@ class OnPolicyTrainer(Trainer):
         rows = batch.loss_mask.nonzero()[:, 0]
         return outputs[rows], values[rows], batch.pick(rows)
 
+    def terms(self, samples: RolloutBuffer, minibatch: Tensor) -> int:
+        """Return of how many terms the loss of some rows, or chunks, is the mean."""
+        if not self.policy.remembers:
+            return len(minibatch)
+        return int(samples.loss_mask[:, minibatch].sum())  # the other steps of chunks are not learned from
+
     def update(self) -> None:
         """Gather a rollout and learn from it."""
         rollout = self.worker.gather(self.done)
@@ -145,7 +151,7 @@ class OnPolicyTrainer(Trainer):
         """Learn from minibatches of these rows, one after the other; return the losses of each."""
         gradients, losses = self.gradients(samples), []
         most = min(self.minibatch, len(rows))
-        with left_to_loops(self.threads) if self.compiled else self.halves.shared(most):
+        with left_to_loops(self.threads) if self.compiled else self.halves.shared(most, self.threads):
             for minibatch in self.minibatches(rows):
                 losses.append(gradients(minibatch))
                 self.optimiser.step(rate)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -92,15 +93,19 @@ class PPO(OnPolicyTrainer):
         Return the policy's loss, the critic's, the entropy, and the share of ratios that were clipped.
         """
         clip = self.settings.clip
-        whole = None if self.policy.remembers else samples.advantages[minibatch]
+        whole = samples.advantages
+        if self.policy.remembers:
+            whole = whole[:, minibatch][samples.loss_mask[:, minibatch]]
+        else:
+            whole = whole[minibatch]
 
         def loss(rows: Tensor) -> tuple[Tensor, Tensor]:
             outputs, values, batch = self.forward(samples, rows)
             log_probs, entropy = self.model.evaluate(outputs, batch.actions)
             ratio = (log_probs - batch.log_probs).exp()
-            advantages, every = batch.advantages, batch.advantages if whole is None else whole
-            if len(every) > 1:  # a single one has no deviation
-                deviation, mean = torch.std_mean(every)
+            advantages = batch.advantages
+            if len(whole) > 1:  # a single one has no deviation
+                deviation, mean = torch.std_mean(whole)
                 advantages = (advantages - mean) / (deviation + 1e-8)
             policy_loss = -torch.min(ratio * advantages, ratio.clamp(1 - clip, 1 + clip) * advantages).mean()
             value_loss = (values - batch.returns).square().mean()
@@ -108,7 +113,7 @@ class PPO(OnPolicyTrainer):
             figures = torch.stack((policy_loss, value_loss, entropy, clipped))
             return policy_loss + 0.5 * value_loss - self.settings.entropy * entropy, figures
 
-        return self.halves.find(minibatch, loss)
+        return self.halves.find(minibatch, loss, partial(self.terms, samples))
 
 
 class MAPPO(PPO):

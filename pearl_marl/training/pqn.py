@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from torch import Tensor
 
@@ -82,7 +83,7 @@ class PQN(OnPolicyTrainer):
             mean = 0.5 * (chosen - batch.returns).square().mean()
             return mean, mean[None]
 
-        return self.halves.find(minibatch, loss)
+        return self.halves.find(minibatch, loss, partial(self.terms, samples))
 
     def figures(self) -> dict[str, float | None]:
         """Return figures for the metrics: those of rollouts, and the share of actions that is random."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
@@ -88,7 +89,14 @@ class VDN(PQN):
             mean = 0.5 * errors.square().mean()
             return mean, mean[None]
 
-        return self.halves.find(minibatch, loss)
+        return self.halves.find(minibatch, loss, partial(self.terms, samples))
+
+    def terms(self, samples: RolloutBuffer, minibatch: Tensor) -> int:
+        """Return of how many terms the loss of some worlds is the mean."""
+        if not self.policy.remembers:
+            return len(minibatch)
+        acting = samples.loss_mask.view(len(samples.loss_mask), -1, len(self.team))[:, minibatch].any(2)
+        return int(acting.sum())
 
 
 class QMIX(VDN):

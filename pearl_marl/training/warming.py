@@ -12,6 +12,7 @@ RUNS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     # Small minibatches are learned in one loop, and large ones each by itself.
     *(("ppo", env_id, {"minibatch": size}) for env_id in ("CartPole", "Pendulum") for size in (64, 4096)),
     ("ppo", "Breakout", {}),
+    ("ppo", "CartPole", {"memory": "gru"}),
     ("pqn", "CartPole", {}),
     ("dqn", "CartPole", {"warm_up": 0}),
 )

@@ -10,7 +10,10 @@ import torch
 
 from pearl_marl.envs import get_spec
 from pearl_marl.training import halves
+from pearl_marl.training.recurrent import chunked
 from pearl_marl.training.run import ALGORITHMS, settings_for
+
+pytestmark = pytest.mark.usefixtures("toys")
 
 SMALL = {"n_agents": 64, "rollout_length": 8, "minibatch": 201, "width": 16}
 
@@ -23,23 +26,54 @@ def _threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     torch.set_num_threads(threads)
 
 
+MEMORY = {"memory": "gru", "chunk_length": 4}
+
+
 def made(algorithm: str, env_id: str = "Breakout", **given: Any) -> Any:
-    settings = settings_for(algorithm, env_id, {**SMALL, **given})
+    settings = settings_for(algorithm, env_id, {**SMALL, **given}, agents=get_spec(env_id).agents)
     return ALGORITHMS[algorithm](get_spec(env_id), "native", settings)
+
+
+def gathered(trainer: Any) -> tuple[Any, Any]:
+    """Return a rollout's samples, and every other row, chunk or world that is learned from."""
+    for number in range(3):  # of Meadow's 20 cycles, the last is in the third
+        rollout = trainer.worker.gather(number)
+    samples, learned_from = rollout.flat(), rollout.loss_mask.flatten()
+    if trainer.policy.remembers:
+        samples = chunked(rollout, trainer.settings.chunk_length)
+        learned_from = samples.loss_mask.any(0)
+    rows = learned_from.nonzero()[:, 0]
+    if trainer.of_teams:
+        rows = torch.unique(rows // trainer.worker.spec.agents)
+    return samples, rows[::2][:201]
 
 
 def found(trainer: Any, samples: Any, rows: Any) -> list[Any]:
     """Return the losses and the gradients of some rows."""
-    with trainer.halves.shared(len(rows)):
+    with trainer.halves.shared(len(rows), torch.get_num_threads()):
         losses = trainer.autograd(samples, rows)
     return [losses, *(parameter.grad.clone() for parameter in trainer.model.parameters())]
 
 
-@pytest.mark.parametrize("algorithm", ["ppo", "pqn"])
-def test_halves_make_the_whole(algorithm: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    trainer = made(algorithm)
-    samples = trainer.worker.gather(0).flat()
-    rows = torch.arange(len(samples.actions))[::2][:201]
+@pytest.mark.parametrize(
+    ("algorithm", "env_id", "given"),
+    [
+        ("ppo", "Breakout", {}),
+        ("pqn", "Breakout", {}),
+        ("ppo", "Breakout", MEMORY),
+        # Where agents end before their world, or a limit ends it, steps of chunks are not learned from.
+        *((algorithm, "Meadow", MEMORY) for algorithm in ("ppo", "pqn", "vdn", "qmix")),
+        ("qmix", "Meadow", {}),
+    ],
+)
+def test_halves_make_the_whole(
+    algorithm: str, env_id: str, given: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trainer = made(algorithm, env_id, **given)
+    samples, rows = gathered(trainer)
+    terms = torch.tensor([trainer.terms(samples, row[None]) for row in rows])
+    rows = rows[terms.argsort()]
+    assert (terms.min() < terms.max()) == (env_id == "Meadow" and bool(given))
     by_threads = []
     for threads in (1, 2):
         torch.set_num_threads(threads)
@@ -53,31 +87,6 @@ def test_halves_make_the_whole(algorithm: str, monkeypatch: pytest.MonkeyPatch) 
         torch.testing.assert_close(halved, expected, rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("algorithm", "env_id", "given"),
-    [
-        ("ppo", "Breakout", {"memory": "gru", "chunk_length": 4}),
-        ("vdn", "Overcooked", {}),  # whose rows are worlds in which somebody acts
-        ("qmix", "Overcooked", {}),
-        ("ppo", "Breakout", {}),
-    ],
-)
-def test_only_means_of_rows_are_halved(algorithm: str, env_id: str, given: dict[str, Any]) -> None:
-    """With a memory, a loss is the mean of those of its rows that are learned from."""
-    trainer = made(algorithm, env_id, **given)
-    asked: list[int] = []
-
-    def loss(rows: Any) -> Any:
-        asked.append(len(rows))
-        return sum(parameter.sum() for parameter in trainer.model.parameters()), rows.float().mean()
-
-    torch.set_num_threads(2)
-    with trainer.halves.shared(9):
-        assert torch.get_num_threads() == (2 if given else 1)
-        assert trainer.halves.find(torch.arange(9), loss) == 4
-    assert sorted(asked) == ([9] if given else [4, 5])
-
-
 def test_threads_are_given_back() -> None:
     trainer = made("ppo")
 
@@ -86,7 +95,7 @@ def test_threads_are_given_back() -> None:
         raise ValueError("no loss")
 
     def fail() -> None:
-        with trainer.halves.shared(9):
+        with trainer.halves.shared(9, 2):
             trainer.halves.find(torch.arange(9), failing)
 
     torch.set_num_threads(2)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -35,55 +34,39 @@ Pearl = Callable[..., tuple[int, str, str]]
 LEA = dataclasses.replace(MEADOW, name="Lea", roles=(), golden=MEADOW.golden._replace(masks=None))
 """Where agents that have ended before their world are stepped, and no masks tell."""
 
-STEPS, AGENTS, SIZE = 12, 5, 8
+STEPS = 12
 
 
-@pytest.fixture
-def memory() -> Memory:
+@pytest.mark.parametrize(("agents", "size"), [(5, 8), (70, 20), (128, 64)])
+@pytest.mark.parametrize(("begins", "acts"), [(0.0, 1.0), (0.3, 1.0), (0.0, 0.7), (0.3, 0.7)])
+def test_a_memory_is_pytorchs_gru(agents: int, size: int, begins: float, acts: float) -> None:
+    """With all its gradients; it is empty where episodes begin, and stays where its agent does not act."""
+    random = torch.Generator().manual_seed(1)
     torch.manual_seed(0)
-    return Memory(SIZE)
+    memory, by_memories = Memory(size), torch.randn(STEPS, agents, size, generator=random)
+    start, given = torch.randn(agents, size), torch.randn(STEPS, agents, size)
+    at_begins, at_acts = (torch.rand(STEPS, agents, generator=random) < share for share in (begins, acts))
 
+    def step_by_step(given: Any, start: Any) -> Any:
+        memories = [start]
+        for t in range(STEPS):
+            before = memories[t].masked_fill(at_begins[t, :, None], 0)
+            memories.append(torch.where(at_acts[t, :, None], memory.cell(given[t], before), before))
+        return torch.stack(memories[1:])
 
-def features() -> Any:
-    return torch.randn(STEPS, AGENTS, SIZE, generator=torch.Generator().manual_seed(1))
+    def at_once(given: Any, start: Any) -> Any:
+        recall = Recall(start, at_begins if begins else None, at_acts if acts < 1 else None)
+        return memory(given.flatten(0, 1), recall)
 
-
-def test_a_memory_is_pytorchs_gru(memory: Memory) -> None:
-    whole = torch.nn.GRU(SIZE, SIZE)
-    whole.load_state_dict({f"{name}_l0": tensor for name, tensor in memory.cell.state_dict().items()})
-    start = torch.rand(AGENTS, SIZE)
-    given = [features().requires_grad_() for _ in range(2)]
-    ours = memory(given[0].flatten(0, 1), Recall(start))
-    theirs, _ = whole(given[1], start[None])
-    torch.testing.assert_close(ours, theirs)
-    for made in (ours, theirs):
-        made.square().sum().backward()
-    torch.testing.assert_close(given[0].grad, given[1].grad)
-
-
-def test_a_memory_is_empty_where_an_episode_begins(memory: Memory) -> None:
-    begins = torch.rand(STEPS, AGENTS, generator=torch.Generator().manual_seed(2)) < 0.3
-    start, given = torch.rand(AGENTS, SIZE), features()
-    found = memory(given.flatten(0, 1), Recall(start, begins))
-    for k in range(AGENTS):
-        edges = [0, *begins[:, k].nonzero()[:, 0].tolist(), STEPS]
-        for first, last in itertools.pairwise(edges):
-            fresh = begins[first, k] if first < STEPS else True
-            before = torch.zeros(1, SIZE) if fresh else start[k : k + 1]
-            if last > first:
-                torch.testing.assert_close(
-                    found[first:last, k : k + 1], memory(given[first:last, k], Recall(before))
-                )
-
-
-def test_a_memory_stays_where_its_agent_does_not_act(memory: Memory) -> None:
-    acts = torch.rand(STEPS, AGENTS, generator=torch.Generator().manual_seed(3)) < 0.5
-    start, given = torch.rand(AGENTS, SIZE), features()
-    found = memory(given.flatten(0, 1), Recall(start, acting=acts))
-    for k in range(AGENTS):
-        due = memory(given[acts[:, k], k], Recall(start[k : k + 1]))
-        torch.testing.assert_close(found[acts[:, k], k : k + 1], due)
-        torch.testing.assert_close(found[-1, k], due[-1, 0])
+    made = []
+    for function in (at_once, step_by_step):
+        inputs = [tensor.clone().requires_grad_() for tensor in (given, start)]
+        memories = function(*inputs)
+        parameters: list[Any] = [*inputs, *memory.parameters()]
+        made.append([memories.detach(), *torch.autograd.grad(memories, parameters, by_memories)])
+    for ours, theirs in zip(*made, strict=True):
+        assert theirs.abs().max() > 0.1
+        torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5 * float(theirs.abs().max()))
 
 
 CASES = [

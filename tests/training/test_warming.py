@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from numba.core import event
 
@@ -18,12 +20,13 @@ from pearl_marl.training.warming import warm_training
         ("ppo", "Pendulum", {"rollout_length": 2, "minibatch": 64}),
         ("ppo", "LevelBasedForaging", {"rollout_length": 2}),
         ("mappo", "LevelBasedForaging", {"rollout_length": 2}),
+        ("ppo", "LevelBasedForaging", {"rollout_length": 2, "memory": "gru", "chunk_length": 1}),
         ("pqn", "Blackjack", {"rollout_length": 2}),
         ("dqn", "Blackjack", {"warm_up": 0}),
         ("ppo", "Seaquest", {}),
     ],
 )
-def test_what_is_warm_is_not_compiled_again(algorithm: str, env_id: str, given: dict[str, int]) -> None:
+def test_what_is_warm_is_not_compiled_again(algorithm: str, env_id: str, given: dict[str, Any]) -> None:
     warm_training()
     assert warm_training() == 0
     settings = settings_for(algorithm, env_id, {"n_agents": 4, **given})
