@@ -1,8 +1,8 @@
 """The steps of a gated recurrent unit, forward and back, compiled for a CPU.
 
 PyTorch calls a dozen operations for each step, and small networks would wait for these calls. Here a few
-agents go through all steps, while their memories are in the processor's first cache. What the unit makes of
-the steps' features is found before, by one product for all steps.
+agents go through all steps, while their memories are in the processor's first cache. PyTorch multiplies the
+features of all steps by the unit's weights beforehand, in one product.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from pearl_marl.base.arrays import Array
 from pearl_marl.compiler.loading import compiled_loop
@@ -35,9 +36,9 @@ _ONE, _TWO = np.float32(1), np.float32(2)
 def _moved(memory: Array, recurrent: Array, given: Array, kept: Array) -> None:
     """Move a memory on by a step of an agent; keep what the way back needs.
 
-    ``given`` has three parts as wide as the memory: what the reset gate, the update gate and the new memory
-    are made of; ``recurrent`` has the same of the memory before, each part padded. ``kept`` gets both gates,
-    the new memory, and the last part of ``recurrent``.
+    ``given`` is what the step's features add to the reset gate, the update gate and the new memory, three
+    parts as wide as the memory; ``recurrent`` is what the memory before adds, each part padded. ``kept`` gets
+    both gates, the new memory, and the last part of ``recurrent``.
     """
     size, high = len(memory), len(recurrent) // 3
     of_reset, of_update, of_new = given[:size], given[size : 2 * size], given[2 * size :]
@@ -57,9 +58,9 @@ def _moved(memory: Array, recurrent: Array, given: Array, kept: Array) -> None:
 
 @called
 def _moved_back(by_memory: Array, before: Array, kept: Array, by_given: Array, by_recurrent: Array) -> None:
-    """Turn the gradient by a memory into that by the one before, as far as it was moved on from there.
+    """Turn the gradient by a memory into the part that goes straight to the memory before.
 
-    Write the gradients by what else :func:`_moved` was given.
+    Write the gradients by ``given`` and ``recurrent``; the caller takes the latter through the weights.
     """
     size, high = len(by_memory), len(by_recurrent) // 3
     reset, update = kept[:size], kept[size : 2 * size]
@@ -89,8 +90,9 @@ def _forward(
 ) -> None:
     """Compute the ``memories`` after each step, shape ``(steps, agents, size)``.
 
-    ``weights`` ``(3 * size, size)`` and ``bias`` are by what the memory before is multiplied. ``begins`` and
-    ``acting``, ``(steps, agents)`` or empty, are of :class:`~pearl_marl.policies.memory.Recall`.
+    The memory before each step is multiplied by ``weights``, ``(3 * size, size)``, and ``bias`` is added.
+    ``begins`` and ``acting``, ``(steps, agents)`` or empty, are those of
+    :class:`~pearl_marl.policies.memory.Recall`.
     """
     steps, agents, size = memories.shape
     high = rounded_up(size, WIDE)
@@ -187,8 +189,8 @@ _backward_of = compiled_loop(_backward, dense, fused=True)
 class GRUSteps(torch.autograd.Function):
     """The memories after each step, ``(steps, agents, size)``, by compiled loops.
 
-    They are of what the unit makes of the features of each step, ``(steps, agents, 3 * size)``; of its
-    weights and biases for the memory before; and of :class:`~pearl_marl.policies.memory.Recall`.
+    They are computed from what the features add at each step, ``(steps, agents, 3 * size)``; the weights and
+    biases for the memory before; and the fields of :class:`~pearl_marl.policies.memory.Recall`.
     """
 
     @staticmethod
@@ -202,7 +204,7 @@ class GRUSteps(torch.autograd.Function):
         acting: Tensor | None,
     ) -> Tensor:
         """Return the memories."""
-        steps, (agents, size) = len(given), start.shape
+        steps, agents, size = *given.shape[:2], weights.shape[1]
         memories, kept = (np.empty((steps, agents, parts * size), np.float32) for parts in (1, 4))
         none = np.empty((0, 0), np.bool_)
         of_weights, of_bias, of_given, of_start = map(_array, (weights, bias, given, start))
@@ -212,6 +214,7 @@ class GRUSteps(torch.autograd.Function):
         return torch.from_numpy(memories)
 
     @staticmethod
+    @once_differentiable  # type: ignore[untyped-decorator]
     def backward(ctx: Any, by_memories: Tensor) -> tuple[Tensor | None, ...]:
         """Return the gradients by what :meth:`forward` was given."""
         weights, start, *_, memories, _ = ctx.arrays

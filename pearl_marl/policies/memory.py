@@ -47,8 +47,9 @@ class Memory(nn.Module):
         Features have the shape ``(steps * agents, size)``.
         """
         memory, begins, acts = recall
-        if not features.is_cuda:
-            cell, shape = self.cell, (-1, len(memory), 3 * memory.shape[1])
+        if features.device.type == "cpu":
+            cell, agents = self.cell, len(memory)
+            shape = len(features) // max(agents, 1), agents, 3 * cell.hidden_size
             given = linear(features, cell.weight_ih, cell.bias_ih).reshape(shape)
             made: Tensor = GRUSteps.apply(given, cell.weight_hh, cell.bias_hh, *recall)  # type: ignore[no-untyped-call]
             return made

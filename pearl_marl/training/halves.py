@@ -89,8 +89,8 @@ class AutogradHalves:
     ) -> Tensor:
         """Leave the gradients of the loss of all rows.
 
-        ``loss`` is given rows, and returns their mean loss, and figures that are means, too. ``terms`` says
-        over how many terms these means are. Return the figures of all rows.
+        ``loss`` is given rows, and returns their mean loss, and figures that are means, too; ``terms``
+        returns how many terms the means of some rows have. Return the figures of all rows.
         """
         if not self._divides(len(rows)):
             gradients, figures = self._of(rows, 1.0, loss)
@@ -112,9 +112,9 @@ class AutogradHalves:
 
     @contextmanager
     def shared(self, rows: int, threads: int) -> Iterator[None]:
-        """Find the halves of minibatches of so many rows at once, if there are as many threads.
+        """Let a second thread find a half of each minibatch of so many rows, if there are several threads.
 
-        They share PyTorch's threads as long as this lasts: to do so for each minibatch would take longer
+        The halves share PyTorch's threads until the block ends: to do so for each minibatch would take longer
         than it saves.
         """
         if threads == 1 or not self._divides(rows):
@@ -131,7 +131,7 @@ class AutogradHalves:
             torch.set_num_threads(before)
 
     def _divides(self, rows: int) -> bool:
-        return self._divisible and rows * self._width >= SECOND_THREAD
+        return self._divisible and rows > 1 and rows * self._width >= SECOND_THREAD
 
     def _of(
         self, rows: Tensor, share: float, loss: Callable[[Tensor], tuple[Tensor, Tensor]]

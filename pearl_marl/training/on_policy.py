@@ -119,7 +119,7 @@ class OnPolicyTrainer(Trainer):
         return outputs[rows], values[rows], batch.pick(rows)
 
     def terms(self, samples: RolloutBuffer, minibatch: Tensor) -> int:
-        """Return of how many terms the loss of some rows, or chunks, is the mean."""
+        """Return how many terms the loss of some rows, or chunks, averages."""
         if not self.policy.remembers:
             return len(minibatch)
         return int(samples.loss_mask[:, minibatch].sum())  # the other steps of chunks are not learned from

@@ -92,7 +92,7 @@ class VDN(PQN):
         return self.halves.find(minibatch, loss, partial(self.terms, samples))
 
     def terms(self, samples: RolloutBuffer, minibatch: Tensor) -> int:
-        """Return of how many terms the loss of some worlds is the mean."""
+        """Return how many terms the loss of some worlds averages."""
         if not self.policy.remembers:
             return len(minibatch)
         acting = samples.loss_mask.view(len(samples.loss_mask), -1, len(self.team))[:, minibatch].any(2)

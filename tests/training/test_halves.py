@@ -87,6 +87,19 @@ def test_halves_make_the_whole(
         torch.testing.assert_close(halved, expected, rtol=1e-4, atol=1e-5)
 
 
+def test_a_single_row_is_not_halved() -> None:
+    """It may be a chunk with as many samples as a large minibatch has."""
+    trainer, asked = made("ppo", **MEMORY), []
+
+    def loss(rows: Any) -> Any:
+        asked.append(len(rows))
+        return sum(parameter.sum() for parameter in trainer.model.parameters()), torch.ones(4)
+
+    trainer.halves.find(torch.zeros(1, dtype=torch.int64), loss)
+    trainer.halves.find(torch.zeros(2, dtype=torch.int64), loss)
+    assert asked == [1, 1, 1]
+
+
 def test_threads_are_given_back() -> None:
     trainer = made("ppo")
 
