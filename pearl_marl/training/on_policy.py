@@ -44,7 +44,7 @@ class OnPolicyTrainer(Trainer):
     max_grad_norm: float
 
     of_teams = False
-    """Whether a row that is learned from is of a world's whole team."""
+    """Whether what is learned from are whole teams: a world's rows, or chunks."""
 
     def __init__(self, spec: EnvSpec, device: Any, settings: Any, shards: int | None = None) -> None:
         torch.manual_seed(settings.seed)
@@ -73,7 +73,8 @@ class OnPolicyTrainer(Trainer):
         self.model.to(self.where)
         self.policy = self.model.policy
         self.optimiser = Adam(self.model.parameters(), epsilon=1e-5, max_grad_norm=self.max_grad_norm)
-        width = settings.width * (spec.agents if self.of_teams else 1)
+        self.team = spec.agents if self.of_teams else 1
+        width = settings.width * self.team
         if self.policy.remembers:
             width *= settings.chunk_length
         self.halves = AutogradHalves(self.optimiser.parameters, width)
@@ -119,10 +120,12 @@ class OnPolicyTrainer(Trainer):
         return outputs[rows], values[rows], batch.pick(rows)
 
     def terms(self, samples: RolloutBuffer, minibatch: Tensor) -> int:
-        """Return how many terms the loss of some rows, or chunks, averages."""
+        """Return how many terms the loss of some rows, or chunks, or teams of these, averages."""
         if not self.policy.remembers:
             return len(minibatch)
-        return int(samples.loss_mask[:, minibatch].sum())  # the other steps of chunks are not learned from
+        # The other steps of chunks are not learned from.
+        teams = samples.loss_mask.view(len(samples.loss_mask), -1, self.team)[:, minibatch]
+        return int(teams.any(2).sum())
 
     def update(self) -> None:
         """Gather a rollout and learn from it."""
@@ -178,9 +181,9 @@ class OnPolicyTrainer(Trainer):
 
     @property
     def minibatch(self) -> int:
-        """How many rows, or chunks, are learned from at a time."""
-        size: int = self.settings.minibatch
-        return max(size // self.settings.chunk_length, 1) if self.policy.remembers else size
+        """How many rows, or chunks, or teams of these, are learned from at a time."""
+        steps = self.settings.chunk_length if self.policy.remembers else 1
+        return max(int(self.settings.minibatch) // steps // self.team, 1)
 
     @property
     def together(self) -> int:

@@ -68,11 +68,11 @@ class PQN(OnPolicyTrainer):
     @property
     def compiled(self) -> bool:
         """Whether compiled loops find the gradients, instead of autograd."""
-        return fits(self.model)
+        return fits(self.model, self.team)
 
     def loops(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
         """Return compiled loops that do what :meth:`autograd` does with a rollout's rows."""
-        return PQNGradients(self.model, samples)
+        return PQNGradients(self.model, samples, self.team)
 
     def autograd(self, samples: RolloutBuffer, minibatch: Tensor) -> Tensor:
         """Leave the gradients of a minibatch's loss with the parameters; return the loss."""

@@ -6,7 +6,6 @@ ended before its world has no part in the team's value.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -17,7 +16,6 @@ from torch import Tensor
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.action_values import ActionValues
-from pearl_marl.training.dense_pqn import PQNGradients, fits
 from pearl_marl.training.mixers import MonotonicMixer, SumMixer
 from pearl_marl.training.pqn import PQN, PQNSettings
 from pearl_marl.training.rollout import RolloutBuffer
@@ -49,7 +47,6 @@ class VDN(PQN):
         if spec.turns:
             raise ArgumentError(f"a team acts at once, and in {spec.name} agents take turns: use self-play")
         super().__init__(spec, device, settings)
-        self.team = torch.arange(spec.agents, device=self.where)
 
     def made(self, spec: EnvSpec, settings: Any) -> ActionValues:
         """Return the model that is learned."""
@@ -57,32 +54,18 @@ class VDN(PQN):
 
     def learn(self, samples: RolloutBuffer, rows: Tensor) -> None:
         """Learn from these rows, or chunks, of a rollout, and from those of their whole worlds."""
-        super().learn(samples, torch.unique(rows // len(self.team)))
-
-    @property
-    def minibatch(self) -> int:
-        """How many worlds' rows, or chunks, are learned from at a time."""
-        return max(super().minibatch // len(self.team), 1)
-
-    @property
-    def compiled(self) -> bool:
-        """Whether compiled loops find the gradients, instead of autograd."""
-        return fits(self.model, len(self.team))
-
-    def loops(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
-        """Return compiled loops that do what :meth:`autograd` does with a rollout's rows."""
-        return PQNGradients(self.model, samples, len(self.team))
+        super().learn(samples, torch.unique(rows // self.team))
 
     def autograd(self, samples: RolloutBuffer, minibatch: Tensor) -> Tensor:
         """Leave the gradients of the loss of some worlds with the parameters; return the loss."""
 
         def loss(worlds: Tensor) -> tuple[Tensor, Tensor]:
-            rows = worlds[:, None] * len(self.team) + self.team
+            rows = worlds[:, None] * self.team + torch.arange(self.team, device=self.where)
             outputs, _, batch = self.all_steps(samples, rows.flatten())
             mixer, state = self.model.mixer, batch.inputs.state
-            acting = batch.loss_mask.view(-1, len(self.team))
+            acting = batch.loss_mask.view(-1, self.team)
             chosen = outputs.gather(1, batch.actions[:, None]).view_as(acting).masked_fill(~acting, 0)
-            values = mixer(chosen, None if state is None else state[:: len(self.team)])
+            values = mixer(chosen, None if state is None else state[:: self.team])
             errors = values - batch.returns.view_as(acting)[:, 0]
             if self.policy.remembers:  # of other teams, somebody acts: see learn()
                 errors = errors[acting.any(1)]
@@ -90,13 +73,6 @@ class VDN(PQN):
             return mean, mean[None]
 
         return self.halves.find(minibatch, loss, partial(self.terms, samples))
-
-    def terms(self, samples: RolloutBuffer, minibatch: Tensor) -> int:
-        """Return how many terms the loss of some worlds averages."""
-        if not self.policy.remembers:
-            return len(minibatch)
-        acting = samples.loss_mask.view(len(samples.loss_mask), -1, len(self.team))[:, minibatch].any(2)
-        return int(acting.sum())
 
 
 class QMIX(VDN):
