@@ -28,7 +28,7 @@ def threads_for(spec: EnvSpec, settings: Any) -> Iterator[None]:
     before = torch.get_num_threads()
     picture = len(spec.observation_space.shape or ()) == 3
     elements = getattr(settings, "minibatch", 0) * getattr(settings, "width", 0)
-    if getattr(settings, "memory", None) == "gru":  # which goes through chunks step by step
+    if getattr(settings, "memory", None) == "gru":  # other threads have halves of its minibatches
         elements //= settings.chunk_length
     torch.set_num_threads(before if picture or elements >= SECOND_THREAD else 1)
     try:
