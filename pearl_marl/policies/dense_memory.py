@@ -214,7 +214,7 @@ class GRUSteps(torch.autograd.Function):
         return torch.from_numpy(memories)
 
     @staticmethod
-    @once_differentiable  # type: ignore[untyped-decorator]
+    @once_differentiable
     def backward(ctx: Any, by_memories: Tensor) -> tuple[Tensor | None, ...]:
         """Return the gradients by what :meth:`forward` was given."""
         weights, start, *_, memories, _ = ctx.arrays
