@@ -9,9 +9,9 @@ import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.checks import checked_integer
-from pearl_marl.spec import EnvSpec, Golden, Peer
+from pearl_marl.spec import EnvSpec, Peer
 
-from .step import make_initial, make_step, observe, state_of
+from .step import make_golden
 
 ROWS, COLUMNS, MOST = 10, 5, 64
 BALL, PADDLE, CELL = (205, 45, 45), (40, 85, 200), 24
@@ -30,7 +30,6 @@ def configure(rows: int = ROWS, columns: int = COLUMNS) -> EnvSpec:
     """
     rows = checked_integer("rows", rows, 2, MOST)
     columns = checked_integer("columns", columns, 2, MOST)
-    state_class = state_of(rows, columns)
 
     def unpack(state: Any, row: Any) -> None:
         """Write a board with ones where ball and paddle are."""
@@ -53,13 +52,7 @@ def configure(rows: int = ROWS, columns: int = COLUMNS) -> EnvSpec:
         rewards=(0.0, 1.0, -1.0),
         observation_space=Box(0, 1, (rows, columns), np.float32),
         action_space=Discrete(3),
-        golden=Golden(
-            state_class,
-            make_initial(state_class, columns),
-            make_step(state_class, rows, columns),
-            observe,
-            view=state_class,
-        ),
+        golden=make_golden(rows, columns),
         unpack=unpack,
         options={"rows": rows, "columns": columns},
         configure=configure,

@@ -11,11 +11,11 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.checks import checked_flag, checked_integer, is_number
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Golden, Grid
+from pearl_marl.spec import EnvSpec, Grid
 
 from .picture import draw
 from .presets import PRESETS
-from .step import SIZE, Around, Place, View, make_initial, make_observe, make_step, rewards, state_of
+from .step import SIZE, Around, Place, View, make_golden, rewards
 
 CHANNELS = 4
 CELLS = SIZE * SIZE
@@ -79,7 +79,6 @@ def configure(
     # What red gets for red coins, blue gets for blue ones.
     alike = payoff[0] == [payoff[1][1], payoff[1][0], payoff[1][2]]
     table = rewards(payoff, shared_rewards, alike)
-    state_class = state_of(inner)
     return EnvSpec(
         name="CoinGame",
         version=0,
@@ -87,13 +86,7 @@ def configure(
         rewards=table,
         observation_space=Box(0, 1, (SIZE, SIZE, CHANNELS) if cnn else (CELLS * CHANNELS,), np.uint8),
         action_space=Discrete(5),
-        golden=Golden(
-            state_class,
-            make_initial(state_class),
-            make_step(state_class, inner, shared_rewards, alike),
-            make_observe(egocentric),
-            view=Around if egocentric else View,
-        ),
+        golden=make_golden(inner, egocentric, shared_rewards, alike),
         agents=2,
         unpack=unpack_around if egocentric else unpack,
         max_cycles=inner * outer,

@@ -14,12 +14,13 @@ Follows https://github.com/FLAIROx/JaxMARL (``jaxmarl`` 0.2.0, ``coin_game``): A
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from pearl_marl.golden import Draws, GoldenFunction, Word
+from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Array, Bits
+from pearl_marl.spec import Golden
 
 SIZE = 3
 RIGHT, LEFT, UP, DOWN, STAY = range(5)
@@ -54,33 +55,10 @@ class Around(NamedTuple):
     other_coin: Place
 
 
-def state_of(inner_steps: int) -> Any:
-    """Return the class of states of games of so many steps."""
-
-    class State(NamedTuple):
-        """Players and coins, red before blue, and the steps of the game so far."""
-
-        players: Array[Place, 2]
-        coins: Array[Place, 2]
-        time: Bits[max((inner_steps - 1).bit_length(), 1)]
-
-    return State
-
-
 def anywhere(draws: Draws) -> list[Place]:
     """Return four cells, all equally likely."""
     numbers = draws.several(*[SIZE] * 8)
     return [Place(numbers[k], numbers[k + 1]) for k in range(0, 8, 2)]
-
-
-def make_initial(state_class: Any) -> GoldenFunction:
-    """Return the golden function that puts players and coins anywhere."""
-
-    def initial(draws: Draws) -> Any:
-        places = anywhere(draws)
-        return state_class(places[:2], places[2:], 0)
-
-    return initial
 
 
 def moved(place: Place, action: Word) -> Place:
@@ -97,19 +75,32 @@ def moved(place: Place, action: Word) -> Place:
     return Place(row, column)
 
 
-def make_step(state_class: Any, inner_steps: int, shared: bool, alike: bool) -> GoldenFunction:
-    """Return the golden step.
+def make_golden(inner_steps: int, egocentric: bool, shared: bool, alike: bool) -> Golden:
+    """Return the golden functions of games of so many steps.
 
-    With ``shared`` rewards a category has four bits: red took the red coin, red took the blue one, blue
+    With ``egocentric`` the torus is turned until a player is in the middle, and he is left out of what he
+    sees. With ``shared`` rewards a category has four bits: red took the red coin, red took the blue one, blue
     took the red one, blue took the blue one. ``alike`` says whether both players are paid by the same
     numbers.
     """
 
-    def step(state: Any, actions: list[Word], draws: Draws) -> tuple[Any, list[Word], list[Word]]:
+    class State(NamedTuple):
+        """Players and coins, red before blue, and the steps of the game so far."""
+
+        players: Array[Place, 2]
+        coins: Array[Place, 2]
+        time: Bits[max((inner_steps - 1).bit_length(), 1)]
+
+    def initial(draws: Draws) -> State:
+        """Put players and coins anywhere."""
+        places = anywhere(draws)
+        return State(places[:2], places[2:], 0)
+
+    def step(state: State, actions: list[Word], draws: Draws) -> tuple[State, list[Word], list[Word]]:
         # A new game takes all the numbers, new coins the first four.
         new = anywhere(draws)
         if state.time >= inner_steps - 1:
-            return state_class(new[:2], new[2:], 0), [0, 0], [False, False]
+            return State(new[:2], new[2:], 0), [0, 0], [False, False]
         red, blue = (moved(state.players[k], actions[k]) for k in range(2))
         red_coin, blue_coin = state.coins
         red_red, red_blue = red == red_coin, red == blue_coin
@@ -125,23 +116,15 @@ def make_step(state_class: Any, inner_steps: int, shared: bool, alike: bool) -> 
                 red_red * OWN | red_blue * OTHERS | blue_red * LOST,
                 blue_blue * OWN | blue_red * OTHERS | red_blue * LOST | (0 if alike else OF_BLUE),
             ]
-        return state_class([red, blue], coins, state.time + 1), codes, [False, False]
+        return State([red, blue], coins, state.time + 1), codes, [False, False]
 
-    return step
-
-
-def make_observe(egocentric: bool) -> GoldenFunction:
-    """Return the golden function of what a player sees.
-
-    With ``egocentric`` the torus is turned until he is in the middle, and he is left out.
-    """
-
-    def observe(state: Any, agent: int) -> View | Around:
+    def observe(state: State, agent: int) -> View | Around:
+        """Return what a player sees."""
         players, coins = state.players, state.coins
         seen = View(players[agent], players[1 - agent], coins[agent], coins[1 - agent])
         return Around(*[around(place, seen.own) for place in seen[1:]]) if egocentric else seen
 
-    return observe
+    return Golden(State, initial, step, observe, view=Around if egocentric else View)
 
 
 def around(place: Place, own: Place) -> Place:
@@ -162,7 +145,7 @@ def pay(payoff: Sequence[Sequence[float]], took: Sequence[Sequence[bool]], playe
 
 
 def rewards(payoff: Sequence[Sequence[float]], shared: bool, alike: bool) -> tuple[float, ...]:
-    """Return the reward of each category of :func:`make_step`."""
+    """Return the reward of each category of the step of :func:`make_golden`."""
     result = []
     if shared:
         for code in range(16):

@@ -10,9 +10,9 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.checks import checked_flag, checked_integer, checked_number
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Golden, Grid, Peer
+from pearl_marl.spec import EnvSpec, Grid, Peer
 
-from .step import make_initial, make_step, observe, state_of
+from .step import make_golden
 
 SIZES = (2, 50)
 SEA, DIVER, GOLD, CELL = (225, 238, 250), (40, 85, 200), (240, 200, 60), 24
@@ -52,7 +52,6 @@ def configure(
         # The generator is bsuite's, and NumPy never changes its numbers.
         mapping = np.random.RandomState(mapping_seed).binomial(1, 0.5, (size, size))
     rights = [sum(int(bit) << k for k, bit in enumerate(row)) for row in mapping]
-    state_class = state_of(size)
 
     def unpack(state: Any, row: Any) -> None:
         """Write a sea with a one where the diver is, and without one below the last row."""
@@ -76,13 +75,7 @@ def configure(
         rewards=(0.0, -cost / size, 1 - cost / size),
         observation_space=Box(0, 1, (size, size), np.float32),
         action_space=Discrete(2),
-        golden=Golden(
-            state_class,
-            make_initial(state_class),
-            make_step(state_class, size, [*rights, 0]),
-            observe,
-            view=state_class,
-        ),
+        golden=make_golden(size, [*rights, 0]),
         unpack=unpack,
         options={
             "size": size,

@@ -7,17 +7,21 @@ Follows https://github.com/google-deepmind/bsuite (``bsuite`` 0.3.6, ``deep_sea`
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from pearl_marl.golden import Draws, GoldenFunction, Word
+from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Range
+from pearl_marl.spec import Golden
 
 LEFT, RIGHT, TREASURE = range(3)
 """Categories of the reward: a move to the left, one to the right, and one to the right in the last column."""
 
 
-def state_of(size: int) -> Any:
-    """Return the class of states of a sea of so many rows and columns."""
+def make_golden(size: int, rights: Sequence[int]) -> Golden:
+    """Return the golden functions of a sea of so many rows and columns.
+
+    Bit ``column`` of ``rights[row]`` is the action that moves to the right.
+    """
 
     class State(NamedTuple):
         """The cell of the diver; the row below the last is the end."""
@@ -25,22 +29,11 @@ def state_of(size: int) -> Any:
         row: Range[0, size]
         column: Range[0, size - 1]
 
-    return State
+    def initial(draws: Draws) -> State:
+        """Put the diver into the upper left cell."""
+        return State(0, 0)
 
-
-def make_initial(state_class: Any) -> GoldenFunction:
-    """Return the golden function that puts the diver into the upper left cell."""
-
-    def initial(draws: Draws) -> Any:
-        return state_class(0, 0)
-
-    return initial
-
-
-def make_step(state_class: Any, size: int, rights: Sequence[int]) -> GoldenFunction:
-    """Return the golden step; bit ``column`` of ``rights[row]`` is the action that moves to the right."""
-
-    def step(state: Any, action: Word, draws: Draws) -> tuple[Any, Word, Word]:
+    def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
         """Move to the left or to the right, and down by a row."""
         row, column = state
         moves_right = action == (rights[row] >> column & 1)
@@ -49,11 +42,10 @@ def make_step(state_class: Any, size: int, rights: Sequence[int]) -> GoldenFunct
             reward = TREASURE if column == size - 1 else RIGHT
         column = min(column + 1, size - 1) if moves_right else max(column - 1, 0)
         row = min(row + 1, size)
-        return state_class(row, column), reward, row == size
+        return State(row, column), reward, row == size
 
-    return step
+    def observe(state: State) -> State:
+        """Return the observation: the state."""
+        return state
 
-
-def observe(state: Any) -> Any:
-    """Return the observation: the state."""
-    return state
+    return Golden(State, initial, step, observe, view=State)

@@ -11,9 +11,9 @@ from gymnasium.spaces import Discrete
 
 from pearl_marl.checks import checked_choice, checked_flag, checked_number, is_number
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Field, Golden, Grid
+from pearl_marl.spec import EnvSpec, Field, Grid
 
-from .step import SIDE, State, make_initial, make_observe, make_step
+from .step import SIDE, State, make_golden
 
 MAPS = {
     "4x4": ("SFFF", "FHFH", "FFFH", "HFFG"),
@@ -83,12 +83,7 @@ def configure(
         rewards=tuple(map(float, reward_schedule)),
         observation_space=Discrete(rows * columns),
         action_space=Discrete(4),
-        golden=Golden(
-            State,
-            make_initial(lake),
-            make_step(lake, (1 - success_rate) / 2 if is_slippery else 0),
-            make_observe(lake),
-        ),
+        golden=make_golden(lake, (1 - success_rate) / 2 if is_slippery else 0),
         max_cycles=200 if eight else 100,
         options={
             "desc": None if desc is None else list(lake),

@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from pearl_marl.golden import Draws, GoldenFunction, Word
+from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Bits
+from pearl_marl.spec import Golden
 
 SIDE = 8
 LEFT, DOWN, RIGHT, UP = 0, 1, 2, 3
@@ -23,31 +24,28 @@ class State(NamedTuple):
     column: Bits[3]
 
 
-def make_initial(lake: Sequence[str]) -> GoldenFunction:
-    """Return the golden function that starts in one of the cells ``S``, all alike.
-
-    It takes a draw where there is a choice. A start's probability is off by less than ``2**-26`` of it.
-    """
-    starts = [State(r, c) for r, line in enumerate(lake) for c, letter in enumerate(line) if letter == "S"]
-
-    def initial(draws: Draws) -> State:
-        return draws.choice(starts) if len(starts) > 1 else starts[0]
-
-    return initial
-
-
-def make_step(lake: Sequence[str], slips: float) -> GoldenFunction:
-    """Return the golden step on a map.
+def make_golden(lake: Sequence[str], slips: float) -> Golden:
+    """Return the golden functions of a map.
 
     With probability ``slips`` the ice turns the action to ``action - 1``, and as often to ``action + 1``.
     Either probability is off by less than ``2**-32``.
     """
-    last_row, last_column = len(lake) - 1, len(lake[0]) - 1
+    starts = [State(r, c) for r, line in enumerate(lake) for c, letter in enumerate(line) if letter == "S"]
+    columns = len(lake[0])
+    last_row, last_column = len(lake) - 1, columns - 1
     letters = "".join(line.ljust(SIDE) for line in lake).ljust(SIDE * SIDE)
     ground = [{"G": TO_GOAL, "H": TO_HOLE}.get(letter, TO_FROZEN) for letter in letters]
     slips_below = round(slips * 2**32)
 
+    def initial(draws: Draws) -> State:
+        """Start in one of the cells ``S``, all alike.
+
+        It takes a draw where there is a choice. A start's probability is off by less than ``2**-26`` of it.
+        """
+        return draws.choice(starts) if len(starts) > 1 else starts[0]
+
     def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
+        """Go left (0), down (1), right (2) or up (3), unless the ice turns the action."""
         row, column = state
         if slips_below:
             draw = draws.bits()
@@ -57,14 +55,8 @@ def make_step(lake: Sequence[str], slips: float) -> GoldenFunction:
         arrived = ground[SIDE * row + column]
         return State(row, column), arrived, arrived != TO_FROZEN
 
-    return step
-
-
-def make_observe(lake: Sequence[str]) -> GoldenFunction:
-    """Return the golden function that observes the number of the cell."""
-    columns = len(lake[0])
-
     def observe(state: State) -> Word:
+        """Return the number of the cell."""
         return columns * state.row + state.column
 
-    return observe
+    return Golden(State, initial, step, observe)

@@ -9,9 +9,9 @@ import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.checks import checked_integer
-from pearl_marl.spec import EnvSpec, Field, Golden
+from pearl_marl.spec import EnvSpec, Field
 
-from .step import greatest, make_initial, make_step, masks, observe, state_of
+from .step import greatest, make_golden
 
 SIZES = (2, 4)
 EMPTY, LIGHT, DARK, CELL = (205, 193, 180), (238, 228, 218), (160, 40, 20), 48
@@ -27,7 +27,7 @@ def configure(board_size: int = 4) -> EnvSpec:
         The rows and columns of the board, 2 to 4.
     """
     size = checked_integer("board_size", board_size, *SIZES)
-    state_class, most = state_of(size), greatest(size)
+    most = greatest(size)
 
     def unpack(state: Any, row: Any) -> None:
         """Write the exponents of the tiles."""
@@ -53,14 +53,7 @@ def configure(board_size: int = 4) -> EnvSpec:
         reward=Field("reward", most + (size * size // 2).bit_length()),
         observation_space=Box(0, most, (size, size), np.int32),
         action_space=Discrete(4),
-        golden=Golden(
-            state_class,
-            make_initial(state_class, size),
-            make_step(state_class, size),
-            observe,
-            masks,
-            view=state_class,
-        ),
+        golden=make_golden(size),
         unpack=unpack,
         options={"board_size": size},
         configure=configure,

@@ -6,10 +6,11 @@ Follows https://github.com/instadeepai/jumanji (``jumanji`` 1.1.2, ``Game2048-v1
 """
 
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from pearl_marl.golden import Draws, GoldenFunction, Word
+from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Array, Range
+from pearl_marl.spec import Golden
 
 UP, RIGHT, DOWN, LEFT = range(4)
 
@@ -19,31 +20,20 @@ def greatest(size: int) -> int:
     return size * size + 1
 
 
-def state_of(size: int) -> Any:
-    """Return the class of states of a board of so many rows and columns."""
+def make_golden(size: int) -> Golden:
+    """Return the golden functions of a board of so many rows and columns."""
+    last, most = size - 1, greatest(size)
 
     class State(NamedTuple):
         """The exponents of the tiles."""
 
-        board: Array[Range[0, greatest(size)], size, size]
+        board: Array[Range[0, most], size, size]
 
-    return State
+    def initial(draws: Draws) -> State:
+        """Put a tile on an empty board."""
+        return State(with_tile([[0] * size for _ in range(size)], True, draws))
 
-
-def make_initial(state_class: Any, size: int) -> GoldenFunction:
-    """Return the golden function that puts a tile on an empty board."""
-
-    def initial(draws: Draws) -> Any:
-        return state_class(with_tile([[0] * size for _ in range(size)], True, draws))
-
-    return initial
-
-
-def make_step(state_class: Any, size: int) -> GoldenFunction:
-    """Return the golden step of a board of so many rows and columns."""
-    last, most = size - 1, greatest(size)
-
-    def step(state: Any, action: Word, draws: Draws) -> tuple[Any, Word, Word]:
+    def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
         """Slide all tiles up (0), right (1), down (2) or left (3); what changes nothing adds no tile."""
         upright, backwards = action in (UP, DOWN), action in (RIGHT, DOWN)
         board, after, reward, changed = state.board, [], 0, False
@@ -56,9 +46,17 @@ def make_step(state_class: Any, size: int) -> GoldenFunction:
             after.append([moved[last - j] if backwards else moved[j] for j in range(size)])
         turned = [[after[j][i] if upright else after[i][j] for j in range(size)] for i in range(size)]
         board = with_tile(turned, changed, draws)
-        return state_class(board), reward, not any(movable(board))
+        return State(board), reward, not any(movable(board))
 
-    return step
+    def observe(state: State) -> State:
+        """Return the observation: the state."""
+        return state
+
+    def masks(state: State) -> list[Word]:
+        """Return which actions change the board."""
+        return movable(state.board)
+
+    return Golden(State, initial, step, observe, masks, view=State)
 
 
 def slid(line: list[Word], most: int) -> tuple[list[Word], Word]:
@@ -101,13 +99,3 @@ def movable(board: list[list[Word]]) -> list[Word]:
                 flags[forwards] = flags[forwards] or merges or (one == 0 and other > 0)
                 flags[backwards] = flags[backwards] or merges or (other == 0 and one > 0)
     return flags
-
-
-def observe(state: Any) -> Any:
-    """Return the observation: the state."""
-    return state
-
-
-def masks(state: Any) -> list[Word]:
-    """Return which actions change the board."""
-    return movable(state.board)

@@ -9,9 +9,9 @@ import numpy.typing as npt
 from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.checks import checked_integer
-from pearl_marl.spec import EnvSpec, Golden, Peer
+from pearl_marl.spec import EnvSpec, Peer
 
-from .step import classes_of, make_initial, make_observe, make_step
+from .step import make_golden
 
 LONGEST, MOST_BITS = 1000, 40
 """The longest chain that is possible here, and the most bits of bsuite's experiments."""
@@ -31,7 +31,6 @@ def configure(memory_length: int = 5, num_bits: int = 1) -> EnvSpec:
     """
     length = checked_integer("memory_length", memory_length, 1, LONGEST)
     bits = checked_integer("num_bits", num_bits, 1, MOST_BITS)
-    state_class, view_class = classes_of(length, bits)
 
     def unpack(view: Any, row: Any) -> None:
         """Write the time that is left, the question, and the context as -1 and 1; 0 for what is not shown."""
@@ -56,13 +55,7 @@ def configure(memory_length: int = 5, num_bits: int = 1) -> EnvSpec:
         rewards=(0.0, 1.0, -1.0),
         observation_space=Box(-np.inf, np.inf, (1, bits + 2), np.float32),
         action_space=Discrete(2),
-        golden=Golden(
-            state_class,
-            make_initial(state_class, bits),
-            make_step(state_class, length),
-            make_observe(view_class, length),
-            view=view_class,
-        ),
+        golden=make_golden(length, bits),
         unpack=unpack,
         options={"memory_length": length, "num_bits": bits},
         configure=configure,

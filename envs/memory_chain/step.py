@@ -7,18 +7,19 @@ Follows https://github.com/google-deepmind/bsuite (``bsuite`` 0.3.6, ``memory_ch
 *Behaviour Suite for Reinforcement Learning*, 2020.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from pearl_marl.golden import Draws, GoldenFunction, Word
+from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Bits, Flag, Range
+from pearl_marl.spec import Golden
 
 NOTHING, RIGHT, WRONG = range(3)
 """Categories of the reward."""
 DRAW_BITS = 32
 
 
-def classes_of(length: int, bits: int) -> tuple[Any, Any]:
-    """Return the classes of states and of observations."""
+def make_golden(length: int, bits: int) -> Golden:
+    """Return the golden functions of so many steps before the answer, and a context of so many bits."""
 
     class State(NamedTuple):
         """The steps so far, the context, and which bit of it is asked for."""
@@ -35,42 +36,26 @@ def classes_of(length: int, bits: int) -> tuple[Any, Any]:
         visible: Flag
         context: Bits[bits]
 
-    return State, View
-
-
-def make_initial(state_class: Any, bits: int) -> GoldenFunction:
-    """Return the golden function that draws a context and a question."""
-
-    def initial(draws: Draws) -> Any:
+    def initial(draws: Draws) -> State:
+        """Draw a context and a question."""
         context = draws.bits(min(bits, DRAW_BITS))
         if bits > DRAW_BITS:
             context |= draws.bits(bits - DRAW_BITS) << DRAW_BITS
-        return state_class(0, context, draws.below(bits) if bits > 1 else 0)
+        return State(0, context, draws.below(bits) if bits > 1 else 0)
 
-    return initial
-
-
-def make_step(state_class: Any, length: int) -> GoldenFunction:
-    """Return the golden step of a chain of so many steps before the answer."""
-
-    def step(state: Any, action: Word, draws: Draws) -> tuple[Any, Word, Word]:
+    def step(state: State, action: Word, draws: Draws) -> tuple[State, Word, Word]:
         """Let time go on; the last action is the answer."""
         time, context, query = state
         last = time >= length
         reward = NOTHING
         if last:
             reward = RIGHT if action == (context >> query & 1) else WRONG
-        return state_class(min(time + 1, length + 1), context, query), reward, last
+        return State(min(time + 1, length + 1), context, query), reward, last
 
-    return step
-
-
-def make_observe(view_class: Any, length: int) -> GoldenFunction:
-    """Return the golden function of what the agent sees."""
-
-    def observe(state: Any) -> Any:
+    def observe(state: State) -> View:
+        """Return the observation, made before time went on."""
         time = max(state.time - 1, 0)
         first, asked = time == 0, time == length - 1
-        return view_class(time, state.query if asked else 0, first, state.context if first else 0)
+        return View(time, state.query if asked else 0, first, state.context if first else 0)
 
-    return observe
+    return Golden(State, initial, step, observe, view=View)

@@ -11,14 +11,14 @@ from gymnasium.spaces import Box, Discrete
 
 from pearl_marl.checks import checked_choice, checked_integer, checked_number
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Golden, Grid, Peer
+from pearl_marl.spec import EnvSpec, Grid, Peer
 
 from .kitchen import LAYOUTS, MOST
 from .layers import COUNT, OWN_PLACE, make_unpack
 from .peers import Kitchen, pairs_of
 from .picture import make_draw
 from .presets import PRESETS
-from .step import make_classes, make_initial, make_observe, make_step, rewards
+from .step import make_golden, rewards
 
 SHAPING = {"PLACEMENT_IN_POT_REW": 3.0, "DISH_PICKUP_REWARD": 3.0, "SOUP_PICKUP_REWARD": 5.0}
 """The package's shaped rewards."""
@@ -59,7 +59,6 @@ def configure(
             )
         kitchen = kitchen.cooking(checked_integer("cook_time", cook_time, *COOK_TIMES))
     table = rewards(kitchen, tuple(factor * shaping[name] for name in SHAPING))
-    state, view = make_classes(kitchen, horizon)
     shape = kitchen.width, kitchen.height, COUNT
     return EnvSpec(
         name="Overcooked",
@@ -68,13 +67,7 @@ def configure(
         rewards=table,
         observation_space=Box(0, max(MOST, *kitchen.times), shape, np.uint8),
         action_space=Discrete(6),
-        golden=Golden(
-            state,
-            make_initial(kitchen, state),
-            make_step(kitchen, horizon),
-            make_observe(kitchen, horizon, view),
-            view=view,
-        ),
+        golden=make_golden(kitchen, horizon),
         agents=2,
         unpack=make_unpack(kitchen),
         max_cycles=horizon,

@@ -25,8 +25,9 @@ the Utility of Learning about Humans for Human-AI Coordination*, 2019.
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from pearl_marl.golden import Draws, GoldenFunction, Word
+from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Array, Bits, Flag, Layout
+from pearl_marl.spec import Golden
 
 from .kitchen import MORE, MOST, STATIONS, Kitchen
 
@@ -63,9 +64,15 @@ def clock_bits(kitchen: Kitchen) -> int:
     return max(kitchen.times).bit_length()
 
 
-def make_classes(kitchen: Kitchen, horizon: int) -> tuple[Any, Any]:
-    """Return the classes of a state and of what a cook sees."""
-    pot_bits = kitchen.soup_bits + clock_bits(kitchen)
+def make_golden(kitchen: Kitchen, horizon: int) -> Golden:
+    """Return the golden functions of a kitchen with a time limit."""
+    things, times, classes = kitchen.things, kitchen.times, kitchen.classes
+    onion, dish, tomato = kitchen.onion, kitchen.dish, kitchen.tomato
+    first_pot, floor = len(kitchen.counters), kitchen.first_floor
+    onions, tomatoes, dishes, serving = range(floor - len(STATIONS), floor)
+    soup_bits, pot_bits = kitchen.soup_bits, kitchen.soup_bits + clock_bits(kitchen)
+    any_soup, n_prices = (1 << soup_bits) - 1, len(kitchen.prices)
+    is_full = [len(kitchen.soups.get(soup, "")) == MOST for soup in range(any_soup + 1)]
 
     class Cook(NamedTuple):
         cell: Bits[kitchen.cell_bits]
@@ -73,7 +80,7 @@ def make_classes(kitchen: Kitchen, horizon: int) -> tuple[Any, Any]:
         holds: Bits[kitchen.item_bits]
 
     class Pot(NamedTuple):
-        soup: Bits[kitchen.soup_bits]
+        soup: Bits[soup_bits]
         clock: Bits[clock_bits(kitchen)]
 
     class State(NamedTuple):
@@ -94,29 +101,14 @@ def make_classes(kitchen: Kitchen, horizon: int) -> tuple[Any, Any]:
         pots: Bits[len(kitchen.pots) * pot_bits]
         urgent: Flag
 
-    return TimedState if has_time(horizon) else State, View
-
-
-def make_initial(kitchen: Kitchen, state: Any) -> GoldenFunction:
-    """Return the golden function of the start: pots and hands are empty, and both cooks face north."""
-    layout = Layout(state)
+    state_class = TimedState if has_time(horizon) else State
+    layout = Layout(state_class)
     start = dict.fromkeys((word.name for word in layout.fields), 0)
     start |= {f"cooks_{k}_cell": cell for k, cell in enumerate(kitchen.starts)}
 
     def initial(draws: Draws) -> Any:
+        """Return the start: pots and hands are empty, and both cooks face north."""
         return layout.built(start.values())
-
-    return initial
-
-
-def make_step(kitchen: Kitchen, horizon: int) -> GoldenFunction:
-    """Return the golden step of a kitchen."""
-    things, times, classes = kitchen.things, kitchen.times, kitchen.classes
-    onion, dish, tomato = kitchen.onion, kitchen.dish, kitchen.tomato
-    first_pot, floor = len(kitchen.counters), kitchen.first_floor
-    onions, tomatoes, dishes, serving = range(floor - len(STATIONS), floor)
-    any_soup, n_prices = (1 << kitchen.soup_bits) - 1, len(kitchen.prices)
-    is_full = [len(kitchen.soups.get(soup, "")) == MOST for soup in range(any_soup + 1)]
 
     def step(state: Any, actions: list[Word], draws: Draws) -> tuple[Any, list[Word], list[Word]]:
         cells, facing, holds = ([cook[part] for cook in state.cooks] for part in range(3))
@@ -185,7 +177,15 @@ def make_step(kitchen: Kitchen, horizon: int) -> GoldenFunction:
             after = after._replace(time=min(state.time + 1, last_calm(horizon) + 1))
         return after, [outcomes[k] * n_prices + served[1 - k] for k in range(2)], [False, False]
 
-    return step
+    def observe(state: Any, agent: int) -> View:
+        """Return what a cook sees: everything, himself first, and all pots in one word."""
+        pots = 0
+        for k, pot in enumerate(state.pots):
+            pots = pots | (pot.soup | pot.clock << soup_bits) << pot_bits * k
+        urgent = state.time > last_calm(horizon) if has_time(horizon) else True
+        return View(state.cooks[agent], state.cooks[1 - agent], state.counters, pots, urgent)
+
+    return Golden(state_class, initial, step, observe, view=View)
 
 
 def item_at(planes: list[Word], counter: Word) -> Word:
@@ -202,18 +202,3 @@ def on_counters(planes: list[Word], item: int) -> Word:
     for bit, plane in enumerate(planes):
         result = result & (plane if item >> bit & 1 else ~plane)
     return result
-
-
-def make_observe(kitchen: Kitchen, horizon: int, view: Any) -> GoldenFunction:
-    """Return the golden function of what a cook sees: everything, himself first, and all pots in one word."""
-    soup_bits = kitchen.soup_bits
-    pot_bits = soup_bits + clock_bits(kitchen)
-
-    def observe(state: Any, agent: int) -> Any:
-        pots = 0
-        for k, pot in enumerate(state.pots):
-            pots = pots | (pot.soup | pot.clock << soup_bits) << pot_bits * k
-        urgent = state.time > last_calm(horizon) if has_time(horizon) else True
-        return view(state.cooks[agent], state.cooks[1 - agent], state.counters, pots, urgent)
-
-    return observe
