@@ -25,14 +25,11 @@ from .fixed import drawing
 RULES = [{"natural": natural, "sab": sab} for natural in (False, True) for sab in (False, True)]
 DECK = np.array(blackjack.deck)
 CHANCE = np.bincount(DECK, minlength=11) / 13
+spec = pearl_marl.get_spec("Blackjack").with_options
 
 
 def oracle(**options: Any) -> Any:
     return gymnasium.make("Blackjack-v1", **options).unwrapped
-
-
-def spec(**options: Any) -> pearl_marl.EnvSpec:
-    return pearl_marl.get_spec("Blackjack").with_options(**options)
 
 
 def cards_of(high: int, low: int, bits: int, count: int) -> list[int]:

@@ -14,7 +14,6 @@ from pearl_marl.envs.breakout.spec import minatar_attributes
 from pearl_marl.envs.breakout.step import MINIMAL, TO_LEFT, TO_RIGHT, State
 from pearl_marl.golden import call_reference, rng
 from pearl_marl.porting.oracle import Actions, Ours
-from pearl_marl.spec import EnvSpec
 from pearl_marl.testing import assert_same_play, first_episodes
 from pearl_marl.testing.oracles import random_actions_of
 
@@ -36,10 +35,7 @@ from .minatar import (
 
 Array = np.ndarray[Any, Any]
 DRAWS = edged_draws(*STICKY_EDGES)
-
-
-def spec(**options: Any) -> EnvSpec:
-    return pearl_marl.get_spec("Breakout").with_options(**options)
+spec = pearl_marl.get_spec("Breakout").with_options
 
 
 def decide_start(draws: Sequence[int]) -> list[Any]:

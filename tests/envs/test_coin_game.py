@@ -23,10 +23,7 @@ RECORDED = np.load(Path(__file__).with_name("coin_game.npz"))
 CASES = sorted({key.split("/")[0] for key in RECORDED if "/" in key})
 PLACES = 3**8
 DIGITS = 3 ** np.arange(7, -1, -1)
-
-
-def spec_of(**options: Any) -> EnvSpec:
-    return pearl_marl.get_spec("CoinGame").with_options(**options)
+spec_of = pearl_marl.get_spec("CoinGame").with_options
 
 
 def draws_of(numbers: Array) -> Array:

@@ -40,14 +40,11 @@ LAKES = [
     {"desc": THREE_STARTS, "is_slippery": False, "reward_schedule": (0, 1, 2)},
     {"desc": ["FFFFFFFF"] * 7 + ["FFFFHGSF"]},
 ]
+spec = pearl_marl.get_spec("FrozenLake").with_options
 
 
 def oracle(**options: Any) -> Any:
     return gymnasium.make("FrozenLake-v1", **options).unwrapped
-
-
-def spec(**options: Any) -> pearl_marl.EnvSpec:
-    return pearl_marl.get_spec("FrozenLake").with_options(**options)
 
 
 def pairs(gym: Any) -> tuple[np.ndarray, np.ndarray]:

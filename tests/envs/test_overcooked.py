@@ -23,10 +23,7 @@ RECORDED = np.load(Path(__file__).with_name("overcooked.npz"))
 CASES = sorted({key.split("/")[0] for key in RECORDED if "/" in key})
 MEETINGS = sorted({key.split(": ")[0] for key in RECORDED if ": " in key})
 SHAPING = 0.5
-
-
-def spec_of(**options: Any) -> EnvSpec:
-    return pearl_marl.get_spec("Overcooked").with_options(**options)
+spec_of = pearl_marl.get_spec("Overcooked").with_options
 
 
 def recorded(name: str) -> tuple[dict[str, Any], dict[str, Array]]:

@@ -16,7 +16,6 @@ from pearl_marl.envs.seaquest.spec import LAYOUT, minatar_attributes
 from pearl_marl.envs.seaquest.step import CHANCE, CHANCE_BITS, THIRD
 from pearl_marl.golden import call_reference, rng
 from pearl_marl.porting.oracle import Actions, Draws, Ours
-from pearl_marl.spec import EnvSpec
 from pearl_marl.testing import assert_same_play, first_episodes
 from pearl_marl.testing.oracles import random_actions_of
 
@@ -32,10 +31,7 @@ from .minatar import (
 Array = np.ndarray[Any, Any]
 COLUMN = {field.name: k for k, field in enumerate(LAYOUT.fields)}
 NOTHING, LEFT, UP, RIGHT, DOWN, FIRE = range(6)
-
-
-def spec(**options: Any) -> EnvSpec:
-    return pearl_marl.get_spec("Seaquest").with_options(**options)
+spec = pearl_marl.get_spec("Seaquest").with_options
 
 
 def decide(environment: Any, action: int, draws: Sequence[int]) -> list[Any]:

@@ -13,7 +13,6 @@ from pearl_marl.envs.space_invaders.spec import minatar_attributes
 from pearl_marl.envs.space_invaders.step import LAST_RAMP, MINIMAL, SHOOT, TO_LEFT, TO_RIGHT
 from pearl_marl.golden import call_reference, rng
 from pearl_marl.porting.oracle import Actions, Ours
-from pearl_marl.spec import EnvSpec
 from pearl_marl.testing import assert_same_play, first_episodes
 from pearl_marl.testing.oracles import random_actions_of
 
@@ -35,12 +34,7 @@ from .minatar import (
 
 Array = np.ndarray[Any, Any]
 DRAWS = edged_draws(*STICKY_EDGES)
-
-
-def spec(**options: Any) -> EnvSpec:
-    return pearl_marl.get_spec("SpaceInvaders").with_options(**options)
-
-
+spec = pearl_marl.get_spec("SpaceInvaders").with_options
 COLUMN = {field.name: k for k, field in enumerate(spec().state)}
 
 

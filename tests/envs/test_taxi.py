@@ -28,14 +28,11 @@ DRY, RAINY = {}, {"is_rainy": True}
 FICKLE, BOTH = {"fickle_passenger": True}, {"is_rainy": True, "fickle_passenger": True}
 STORM = {"is_rainy": True, "rainy_probability": 0.25, "fickle_passenger": True, "fickle_probability": 0.9}
 PAIRS = np.array(list(itertools.product(range(STATES), range(ACTIONS)))).T
+spec = pearl_marl.get_spec("Taxi").with_options
 
 
 def oracle(**options: Any) -> Any:
     return gymnasium.make("Taxi-v4", **options).unwrapped
-
-
-def spec(**options: Any) -> pearl_marl.EnvSpec:
-    return pearl_marl.get_spec("Taxi").with_options(**options)
 
 
 def decode(states: np.ndarray) -> list[np.ndarray]:
