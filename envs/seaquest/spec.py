@@ -6,7 +6,6 @@ from typing import Any
 
 from pearl_marl.envs.minatar import SIDE, checked_options, spec_parts
 from pearl_marl.envs.minatar_planes import number
-from pearl_marl.layout import Layout
 from pearl_marl.planes import BoardCells, mark, mark_moving
 from pearl_marl.spec import EnvSpec, Field, Golden
 
@@ -146,5 +145,4 @@ def configure(sticky_action_prob: float = 0.1, difficulty_ramping: bool = True) 
     )
 
 
-LAYOUT = Layout(State)
 SPEC = configure()

@@ -11,7 +11,6 @@ import pytest
 
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.envs.minatar import action_table
-from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import call_reference, rng
 from pearl_marl.porting.oracle import Actions, Draws, Games, Ours, Outcome, compare, uniform_draws
 from pearl_marl.spec import EnvSpec
@@ -213,43 +212,6 @@ def assert_a_device_plays_it(
             np.testing.assert_array_equal(batch.obs[k], env.game.state())
     assert ended >= ends
     device.close()
-
-
-def episodes_of_minatar(spec: EnvSpec, n: int, seed: int) -> tuple[Array, Array]:
-    """Return length and return of ``n`` episodes of MinAtar's own under the random policy."""
-    env: Any = gymnasium.make(str(spec.oracle), **spec.options).unwrapped
-    env.seed(seed)
-    lengths, returns, game = np.zeros(n, int), np.zeros(n), env.game
-    actions = np.random.default_rng(seed)
-    for k in range(n):
-        game.reset()
-        game.last_action = 0
-        end = False
-        while not end:
-            reward, end = game.act(env.action_set[actions.integers(len(env.action_set))])
-            lengths[k] += 1
-            returns[k] += reward
-    return lengths, returns
-
-
-def assert_same_spaces(spec: EnvSpec) -> None:
-    """Compare the spaces of both action sets with those of MinAtar's two versions."""
-    for version in (0, 1):
-        ours = spec.with_options(use_minimal_action_set=version == 1)
-        theirs: Any = gymnasium.make(f"{str(spec.oracle).removesuffix('1')}{version}")
-        assert ours.observation_space == theirs.observation_space
-        assert ours.observation_space.dtype == theirs.observation_space.dtype
-        assert ours.action_space == theirs.action_space
-
-
-def assert_bad_options_are_refused(spec: EnvSpec) -> None:
-    """Give each option what it does not take."""
-    for bad in (-0.1, 1.5, float("nan"), "often", True, None):
-        with pytest.raises(ArgumentError, match=r"sticky_action_prob is .*from 0 to 1"):
-            spec.with_options(sticky_action_prob=bad)
-    for name in spec.options.keys() - {"sticky_action_prob"}:
-        with pytest.raises(ArgumentError, match=f"{name} is 1; it must be True or False"):
-            spec.with_options(**{name: 1})
 
 
 def assert_same_pictures(spec: EnvSpec, actions: Sequence[int], different: int, seed: int = 0) -> None:

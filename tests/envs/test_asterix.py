@@ -15,22 +15,15 @@ from pearl_marl.envs.asterix.step import LAST_RAMP, MINIMAL, RAMP_STEPS
 from pearl_marl.envs.minatar import DOWN
 from pearl_marl.golden import call_reference, rng
 from pearl_marl.porting.oracle import Actions, Ours
-from pearl_marl.testing import assert_same_play, first_episodes
-from pearl_marl.testing.oracles import random_actions_of
 
 from .minatar import (
     STICKY_EDGES,
     Match,
     assert_a_device_plays_it,
-    assert_attributes,
-    assert_bad_options_are_refused,
     assert_same_pictures,
-    assert_same_spaces,
     at_random,
     edged_draws,
-    episodes_of_minatar,
     initial_words,
-    minatar,
     repeats,
 )
 
@@ -127,12 +120,6 @@ def test_full_rows(n: int, steps: int) -> None:
     assert game.earned > n / 2
 
 
-def test_start_is_minatars() -> None:
-    game = minatar(spec()).game
-    game.reset()
-    assert_attributes(game.env, minatar_attributes(spec().layout.built(initial_words(spec()))))
-
-
 def test_a_device_plays_minatars_game() -> None:
     assert_a_device_plays_it(spec(), decide, lambda draws: [], n=24, steps=100, ends=8)
 
@@ -155,26 +142,6 @@ def test_draws_decide_as_often_as_minatars(taken: int) -> None:
     assert stats.chisquare(np.bincount(cases, minlength=len(expected)), expected).pvalue > 0.001
     repeated = int((after[COLUMN["last_action"]] == DOWN).sum())
     assert stats.binomtest(repeated, n, 0.1).pvalue > 0.001
-
-
-@pytest.mark.slow
-def test_episodes_of_a_random_policy() -> None:
-    """Lengths and returns of 6,000 and 600 episodes have one distribution, by Kolmogorov and Smirnov."""
-    ours = first_episodes(spec(), 6_000, 1, random_actions_of(spec()))
-    assert_same_play(ours, episodes_of_minatar(spec(), 600, 2))
-
-
-def test_spaces_are_minatars() -> None:
-    assert_same_spaces(spec())
-
-
-def test_words_are_no_wider_than_they_have_to_be() -> None:
-    words = (spec().state, (spec().action,), spec().observation, (spec().reward,))
-    assert [sum(field.bits for field in fields) for fields in words] == [85, 3, 64, 1]
-
-
-def test_bad_options() -> None:
-    assert_bad_options_are_refused(spec())
 
 
 def test_pictures_are_minatars() -> None:

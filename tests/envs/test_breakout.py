@@ -14,20 +14,15 @@ from pearl_marl.envs.breakout.spec import minatar_attributes
 from pearl_marl.envs.breakout.step import MINIMAL, TO_LEFT, TO_RIGHT, State
 from pearl_marl.golden import call_reference, rng
 from pearl_marl.porting.oracle import Actions, Ours
-from pearl_marl.testing import assert_same_play, first_episodes
-from pearl_marl.testing.oracles import random_actions_of
 
 from .minatar import (
     STICKY_EDGES,
     Match,
     assert_a_device_plays_it,
     assert_attributes,
-    assert_bad_options_are_refused,
     assert_same_pictures,
-    assert_same_spaces,
     at_random,
     edged_draws,
-    episodes_of_minatar,
     initial_words,
     minatar,
     repeats,
@@ -122,26 +117,6 @@ def test_draws_decide_as_often_as_minatars() -> None:
     state = [np.full(n, word) for word in initial_words(config)]
     after = State(*call_reference(config.positional.step, [*state, np.full(n, TO_LEFT), draws[1]])[:-2])
     assert stats.binomtest(int((after.last_action == 0).sum()), n, 0.1).pvalue > 0.001
-
-
-@pytest.mark.slow
-def test_episodes_of_a_random_policy() -> None:
-    """Lengths and returns of 20,000 and 4,000 episodes have one distribution, by Kolmogorov and Smirnov."""
-    ours = first_episodes(spec(), 20_000, 1, random_actions_of(spec()))
-    assert_same_play(ours, episodes_of_minatar(spec(), 4_000, 2))
-
-
-def test_spaces_are_minatars() -> None:
-    assert_same_spaces(spec())
-
-
-def test_words_are_no_wider_than_they_have_to_be() -> None:
-    words = (spec().state, (spec().action,), spec().observation, (spec().reward,))
-    assert [sum(field.bits for field in fields) for fields in words] == [55, 2, 50, 1]
-
-
-def test_bad_options() -> None:
-    assert_bad_options_are_refused(spec())
 
 
 def test_pictures_are_minatars() -> None:

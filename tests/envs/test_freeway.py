@@ -15,20 +15,15 @@ from pearl_marl.envs.freeway.step import GO_DOWN, GO_UP, LANES, MINIMAL, TIME_LI
 from pearl_marl.envs.minatar import UP
 from pearl_marl.golden import call_reference, rng
 from pearl_marl.porting.oracle import Actions, Ours
-from pearl_marl.testing import assert_same_play, first_episodes
-from pearl_marl.testing.oracles import random_actions_of
 
 from .minatar import (
     STICKY_EDGES,
     Match,
     assert_a_device_plays_it,
     assert_attributes,
-    assert_bad_options_are_refused,
     assert_same_pictures,
-    assert_same_spaces,
     at_random,
     edged_draws,
-    episodes_of_minatar,
     initial_words,
     minatar,
     repeats,
@@ -158,26 +153,6 @@ def test_draws_decide_as_often_as_minatars() -> None:
     state = [np.full(n, word) for word in initial_words(config)]
     after = call_reference(config.positional.step, [*state, np.full(n, GO_UP), draws[2], *draws[:2]])
     assert stats.binomtest(int((after[COLUMN["last_action"]] == 0).sum()), n, 0.1).pvalue > 0.001
-
-
-@pytest.mark.exhaustive
-def test_episodes_of_a_random_policy() -> None:
-    """Lengths and returns of 2,000 and 200 episodes have one distribution, by Kolmogorov and Smirnov."""
-    ours = first_episodes(spec(), 2_000, 1, random_actions_of(spec()))
-    assert_same_play(ours, episodes_of_minatar(spec(), 200, 2))
-
-
-def test_spaces_are_minatars() -> None:
-    assert_same_spaces(spec())
-
-
-def test_words_are_no_wider_than_they_have_to_be() -> None:
-    words = (spec().state, (spec().action,), spec().observation, (spec().reward,))
-    assert [sum(field.bits for field in fields) for fields in words] == [108, 2, 68, 1]
-
-
-def test_bad_options() -> None:
-    assert_bad_options_are_refused(spec())
 
 
 def test_pictures_are_minatars() -> None:

@@ -6,32 +6,22 @@ import itertools
 from collections.abc import Sequence
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 from scipy import stats
 
 import pearl_marl
-from pearl_marl.envs.seaquest.spec import LAYOUT, minatar_attributes
+from pearl_marl.envs.seaquest.spec import minatar_attributes
 from pearl_marl.envs.seaquest.step import CHANCE, CHANCE_BITS, THIRD
 from pearl_marl.golden import call_reference, rng
 from pearl_marl.porting.oracle import Actions, Draws, Ours
-from pearl_marl.testing import assert_same_play, first_episodes
-from pearl_marl.testing.oracles import random_actions_of
 
-from .minatar import (
-    Match,
-    assert_a_device_plays_it,
-    assert_bad_options_are_refused,
-    assert_same_pictures,
-    edged_draws,
-    episodes_of_minatar,
-)
+from .minatar import Match, assert_a_device_plays_it, assert_same_pictures, edged_draws
 
 Array = np.ndarray[Any, Any]
-COLUMN = {field.name: k for k, field in enumerate(LAYOUT.fields)}
-NOTHING, LEFT, UP, RIGHT, DOWN, FIRE = range(6)
 spec = pearl_marl.get_spec("Seaquest").with_options
+COLUMN = {field.name: k for k, field in enumerate(spec().state)}
+NOTHING, LEFT, UP, RIGHT, DOWN, FIRE = range(6)
 
 
 def decide(environment: Any, action: int, draws: Sequence[int]) -> list[Any]:
@@ -189,32 +179,6 @@ def test_draws_decide_as_often_as_minatars() -> None:
     assert stats.chisquare(divers).pvalue > 0.001
     repeated = int((after[COLUMN["last_action"]] == FIRE).sum())
     assert stats.binomtest(repeated, n, 0.1).pvalue > 0.001
-
-
-@pytest.mark.exhaustive
-def test_episodes_of_a_random_policy() -> None:
-    """20,000 episodes of each: lengths and returns have one distribution, by Kolmogorov and Smirnov."""
-    ours = first_episodes(spec(), 20_000, 1, random_actions_of(spec()))
-    assert_same_play(ours, episodes_of_minatar(spec(), 20_000, 2))
-
-
-@pytest.mark.parametrize("version", [0, 1])
-def test_spaces_are_minatars(version: int) -> None:
-    """Both versions have all six actions in one order, for Seaquest has a use for each."""
-    theirs = gymnasium.make(f"{str(spec().oracle).removesuffix('1')}{version}")
-    assert spec().observation_space == theirs.observation_space
-    assert spec().observation_space.dtype == theirs.observation_space.dtype
-    assert spec().action_space == theirs.action_space
-    assert theirs.unwrapped.action_set == list(range(6))
-
-
-def test_words_are_no_wider_than_the_papers() -> None:
-    words = (LAYOUT.fields, (spec().action,), spec().observation, (spec().reward,))
-    assert [sum(field.bits for field in fields) for fields in words] == [694, 3, 440, 4]
-
-
-def test_bad_options() -> None:
-    assert_bad_options_are_refused(spec())
 
 
 def test_pictures_are_minatars() -> None:

@@ -13,22 +13,15 @@ from pearl_marl.envs.space_invaders.spec import minatar_attributes
 from pearl_marl.envs.space_invaders.step import LAST_RAMP, MINIMAL, SHOOT, TO_LEFT, TO_RIGHT
 from pearl_marl.golden import call_reference, rng
 from pearl_marl.porting.oracle import Actions, Ours
-from pearl_marl.testing import assert_same_play, first_episodes
-from pearl_marl.testing.oracles import random_actions_of
 
 from .minatar import (
     STICKY_EDGES,
     Match,
     assert_a_device_plays_it,
-    assert_attributes,
-    assert_bad_options_are_refused,
     assert_same_pictures,
-    assert_same_spaces,
     at_random,
     edged_draws,
-    episodes_of_minatar,
     initial_words,
-    minatar,
     repeats,
 )
 
@@ -136,12 +129,6 @@ def test_no_bullet_is_lost(n: int, steps: int, ramp: int) -> None:
     assert sky.match.words[COLUMN["ramp"]].max() >= ramp
 
 
-def test_start_is_minatars() -> None:
-    game = minatar(spec()).game
-    game.reset()
-    assert_attributes(game.env, minatar_attributes(spec().layout.built(initial_words(spec()))))
-
-
 def test_a_device_plays_minatars_game() -> None:
     assert_a_device_plays_it(spec(), repeats, lambda draws: [], n=24, steps=60, ends=8)
 
@@ -153,26 +140,6 @@ def test_draws_decide_as_often_as_minatars() -> None:
         config.positional.step, [*state, np.full(n, SHOOT), rng.draws((1, 2), np.arange(n), 3, 0)]
     )
     assert stats.binomtest(int((after[COLUMN["last_action"]] == 0).sum()), n, 0.1).pvalue > 0.001
-
-
-@pytest.mark.slow
-def test_episodes_of_a_random_policy() -> None:
-    """Lengths and returns of 6,000 and 400 episodes have one distribution, by Kolmogorov and Smirnov."""
-    ours = first_episodes(spec(), 6_000, 1, random_actions_of(spec()))
-    assert_same_play(ours, episodes_of_minatar(spec(), 400, 2))
-
-
-def test_spaces_are_minatars() -> None:
-    assert_same_spaces(spec())
-
-
-def test_words_are_no_wider_than_they_have_to_be() -> None:
-    words = (spec().state, (spec().action,), spec().observation, (spec().reward,))
-    assert [sum(field.bits for field in fields) for fields in words] == [80, 2, 64, 2]
-
-
-def test_bad_options() -> None:
-    assert_bad_options_are_refused(spec())
 
 
 def test_pictures_are_minatars() -> None:
