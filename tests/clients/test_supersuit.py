@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # SuperSuit tells of its successor, and imports what is deprecated
     supersuit = pytest.importorskip("supersuit", reason="SuperSuit is not installed")
 
+pytestmark = pytest.mark.filterwarnings("ignore")
 WRAPPERS: dict[str, Callable[[Any], Any]] = {
     "agent_indicator": supersuit.agent_indicator_v0,
     "black_death": supersuit.black_death_v3,
@@ -41,13 +42,6 @@ WRAPPERS: dict[str, Callable[[Any], Any]] = {
     "pad_action_space": supersuit.pad_action_space_v0,
     "sticky_actions": lambda env: supersuit.sticky_actions_v0(env, 0.5),
 }
-
-
-@pytest.fixture(autouse=True)
-def _quietly() -> Iterator[None]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 @pytest.mark.parametrize("wrap", WRAPPERS.values(), ids=WRAPPERS)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import copy
-import warnings
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -15,12 +13,7 @@ pytest.importorskip("torchrl", reason="TorchRL is not installed")
 from torchrl.envs import GymWrapper, PettingZooWrapper
 from torchrl.envs.utils import MarlGroupMapType, check_env_specs
 
-
-@pytest.fixture(autouse=True)
-def _quietly() -> Iterator[None]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
+pytestmark = pytest.mark.filterwarnings("ignore")
 
 
 @pytest.mark.parametrize("name", ["CartPole", "Pendulum", "CliffWalking", "CoinGame", "LevelBasedForaging"])

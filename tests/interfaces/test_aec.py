@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import types
-import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -21,14 +20,8 @@ from pearl_marl.errors import ActionError, DeviceError, OrderError
 
 from ..sampling import KINDS, sampled
 
+pytestmark = pytest.mark.filterwarnings("ignore")
 NAMES = sampled(pearl_marl.list_envs(), KINDS)
-
-
-@pytest.fixture(autouse=True)
-def _quietly() -> Iterator[None]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 def chosen(env: Any, t: int, illegal: bool = False) -> Any:

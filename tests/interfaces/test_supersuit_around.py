@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # SuperSuit tells of its successor, and imports what is deprecated
     supersuit = pytest.importorskip("supersuit", reason="SuperSuit is not installed")
 
+pytestmark = [pytest.mark.usefixtures("toys"), pytest.mark.filterwarnings("ignore")]
 N = 6
 
 
@@ -27,13 +27,6 @@ class PlainDicts(BaseParallelWrapper):
 
     def step(self, actions: dict[str, Any]) -> Any:
         return tuple(dict(part) for part in self.env.step(actions))
-
-
-@pytest.fixture(autouse=True)
-def _quietly(toys: None) -> Iterator[None]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 def pair(name: str, **arguments: Any) -> tuple[Any, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -20,15 +20,9 @@ with warnings.catch_warnings():
     supersuit = pytest.importorskip("supersuit", reason="SuperSuit is not installed")
     from supersuit.utils.basic_transforms.resize import change_observation as theirs_resize
 
+pytestmark = [pytest.mark.usefixtures("toys"), pytest.mark.filterwarnings("ignore")]
 N = 5
 Wrap = Callable[[Any, Any], Any]
-
-
-@pytest.fixture(autouse=True)
-def _toys(toys: None) -> Iterator[None]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        yield
 
 
 def strict(name: str, shape: tuple[int, ...] | None = None, dtype: Any = np.uint8, **arguments: Any) -> Any:
