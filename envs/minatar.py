@@ -21,6 +21,8 @@ SIDE, LAST = 10, 9
 """Cells of a row and a column of the board, and the last of them."""
 NOTHING, LEFT, UP, RIGHT, DOWN, FIRE = range(6)
 """MinAtar's actions. Those that have an effect in a game are its minimal action set."""
+FLAGS = "difficulty_ramping", "use_minimal_action_set"
+"""The options that are true or false, in the order of a game's arguments."""
 
 PRESET: dict[str, Any] = {
     "n_agents": 512,
@@ -45,10 +47,13 @@ PQN_PRESET: dict[str, Any] = {
 """Settings of PQN for the same; small minibatches, since values take many updates to travel back."""
 
 
-def checked_options(sticky_action_prob: float, **flags: bool) -> dict[str, Any]:
-    """Return the options of a game after a check of each: a probability, and whether the others hold."""
+def checked_options(sticky_action_prob: float, *flags: bool) -> dict[str, Any]:
+    """Return the options of a game after a check of each: a probability, and whether the others hold.
+
+    The ``flags`` are those of :data:`FLAGS`, in their order; Seaquest has the first one only.
+    """
     return {"sticky_action_prob": checked_number("sticky_action_prob", sticky_action_prob, 0, 1)} | {
-        name: checked_flag(name, flag) for name, flag in flags.items()
+        name: checked_flag(name, flag) for name, flag in zip(FLAGS[: len(flags)], flags, strict=True)
     }
 
 

@@ -57,22 +57,13 @@ def configure(
     use_minimal_action_set
         Whether the action space has 3 actions, or all 6 of MinAtar's.
     """
-    options = checked_options(
-        sticky_action_prob,
-        difficulty_ramping=difficulty_ramping,
-        use_minimal_action_set=use_minimal_action_set,
-    )
+    options = checked_options(sticky_action_prob, difficulty_ramping, use_minimal_action_set)
+    step = make_step(options["sticky_action_prob"], use_minimal_action_set)
     return EnvSpec(
         **spec_parts("Breakout", CHANNELS, MINIMAL, minatar_attributes, **options) | {"presets": PRESETS},
         summary="Bounce a ball off a paddle to break bricks",
         rewards=(0.0, 1.0),
-        golden=Golden(
-            State,
-            initial,
-            make_step(options["sticky_action_prob"], use_minimal_action_set),
-            observe,
-            view=View,
-        ),
+        golden=Golden(State, initial, step, observe, view=View),
         unpack=unpack,
         configure=configure,
     )

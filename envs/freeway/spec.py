@@ -61,11 +61,7 @@ def configure(
     use_minimal_action_set
         Whether the action space has 3 actions, or all 6 of MinAtar's.
     """
-    options = checked_options(
-        sticky_action_prob,
-        difficulty_ramping=difficulty_ramping,
-        use_minimal_action_set=use_minimal_action_set,
-    )
+    options = checked_options(sticky_action_prob, difficulty_ramping, use_minimal_action_set)
     step = make_step(options["sticky_action_prob"], use_minimal_action_set)
     return EnvSpec(
         **spec_parts("Freeway", CHANNELS, MINIMAL, minatar_attributes, **options),

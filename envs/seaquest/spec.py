@@ -132,7 +132,7 @@ def configure(sticky_action_prob: float = 0.1, difficulty_ramping: bool = True) 
     difficulty_ramping
         Whether surfacing makes enemies faster and more frequent.
     """
-    options = checked_options(sticky_action_prob, difficulty_ramping=difficulty_ramping)
+    options = checked_options(sticky_action_prob, difficulty_ramping)
     sticky_below = round(options["sticky_action_prob"] * (1 << CHANCE_BITS))
     return EnvSpec(
         **spec_parts("Seaquest", CHANNELS, range(6), minatar_attributes, **options) | {"presets": PRESETS},
