@@ -12,7 +12,6 @@ from pearl_marl.checks import checked_integer
 from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec, Peer
 
-from .peers import cells_of, make
 from .step import make_golden
 
 SIZES, MINES = (2, 16), (1, 40)
@@ -76,13 +75,26 @@ def configure(num_rows: int = 10, num_cols: int = 10, num_mines: int = 10) -> En
         options={"num_rows": rows, "num_cols": columns, "num_mines": mines},
         configure=configure,
         peers={
-            "EnvPool": Peer("Jumanji/Minesweeper-v0", actions=cells_of),
-            "jumanji": Peer(make, actions=cells_of),
+            "EnvPool": Peer("Jumanji/Minesweeper-v0", actions=_cells),
+            "jumanji": Peer(_jumanjis, actions=_cells),
         },
         draw=draw,
         follows="jumanji Minesweeper-v0",
         render_modes=("rgb_array",),
     )
+
+
+def _jumanjis(spec: EnvSpec) -> Any:
+    """Return jumanji's environment."""
+    from jumanji.environments import Minesweeper
+    from jumanji.environments.logic.minesweeper.generator import UniformSamplingGenerator
+
+    return Minesweeper(UniformSamplingGenerator(**spec.options))
+
+
+def _cells(spec: EnvSpec, actions: npt.NDArray[np.integer[Any]]) -> npt.NDArray[np.integer[Any]]:
+    """Return the row and the column of each action."""
+    return np.stack(np.divmod(actions, spec.options["num_cols"]), 1)
 
 
 SPEC = configure()

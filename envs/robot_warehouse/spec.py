@@ -13,7 +13,6 @@ from pearl_marl.layout import Layout
 from pearl_marl.spec import EnvSpec, Grid, Peer
 
 from .moves import MOST
-from .peers import make
 from .picture import make_draw
 from .presets import PRESETS
 from .rules import SIZES, WarehouseRules
@@ -85,7 +84,7 @@ def configure(
             "EnvPool": Peer(
                 "RobotWarehouse-v0", agents=4, differs="Jumanji's warehouse: worlds of 4 robots, 80 shelves"
             ),
-            "rware": Peer(make),
+            "rware": Peer(_rwares),
         },
         presets=PRESETS,
         draw=make_draw(rules),
@@ -128,6 +127,26 @@ def grid(rules: WarehouseRules) -> Grid:
         return places[:, 1] * rules.width + places[:, 0]
 
     return Grid(rules.height, rules.width, cell)
+
+
+def _rwares(spec: EnvSpec) -> Any:
+    """Return rware's environment."""
+    from rware.warehouse import RewardType, Warehouse
+
+    options = spec.options
+    shelf_rows, shelf_columns = SIZES[options["size"]]
+    return Warehouse(
+        shelf_rows=shelf_rows,
+        shelf_columns=shelf_columns,
+        column_height=options["column_height"],
+        n_agents=spec.agents,
+        msg_bits=0,
+        sensor_range=options["sensor_range"],
+        request_queue_size=options["request_queue_size"] or spec.agents,
+        max_inactivity_steps=None,
+        max_steps=spec.max_cycles,
+        reward_type=RewardType[options["reward_type"].upper()],
+    )
 
 
 SPEC = configure()
