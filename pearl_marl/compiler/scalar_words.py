@@ -60,21 +60,8 @@ def _operations(word: Any) -> list[Any]:
         return word(a) if flag else word(b)
 
     return [
-        add,
-        sub,
-        mul,
-        and_,
-        or_,
-        xor,
-        left,
-        right,
-        minimum,
-        maximum,
-        equal,
-        differ,
-        less,
-        at_least,
-        choose,
+        *(add, sub, mul, and_, or_, xor, left, right, minimum, maximum),
+        *(equal, differ, less, at_least, choose),
     ]
 
 

@@ -29,52 +29,13 @@ class Undefined:
     __getattr__ = __setattr__ = refuse
 
 
-for _name in [
-    "add",
-    "radd",
-    "sub",
-    "rsub",
-    "mul",
-    "rmul",
-    "floordiv",
-    "rfloordiv",
-    "truediv",
-    "rtruediv",
-    "mod",
-    "rmod",
-    "pow",
-    "rpow",
-    "and",
-    "rand",
-    "or",
-    "ror",
-    "xor",
-    "rxor",
-    "lshift",
-    "rlshift",
-    "rshift",
-    "rrshift",
-    "eq",
-    "ne",
-    "lt",
-    "le",
-    "gt",
-    "ge",
-    "bool",
-    "index",
-    "int",
-    "float",
-    "iter",
-    "len",
-    "getitem",
-    "setitem",
-    "call",
-    "neg",
-    "pos",
-    "abs",
-    "invert",
-    "contains",
-]:
+_BINARY = "add", "sub", "mul", "floordiv", "truediv", "mod", "pow", "and", "or", "xor", "lshift", "rshift"
+for _name in (
+    *_BINARY,
+    *(f"r{name}" for name in _BINARY),
+    *("eq", "ne", "lt", "le", "gt", "ge", "bool", "index", "int", "float", "iter", "len"),
+    *("getitem", "setitem", "call", "neg", "pos", "abs", "invert", "contains"),
+):
     setattr(Undefined, f"__{_name}__", Undefined.refuse)
 
 
@@ -124,16 +85,8 @@ def _growing(name: str) -> Callable[..., Any]:
 
 
 for _name in (
-    "append",
-    "extend",
-    "insert",
-    "pop",
-    "remove",
-    "clear",
-    "sort",
-    "reverse",
-    "__delitem__",
-    "__iadd__",
+    *("append", "extend", "insert", "pop", "remove", "clear", "sort", "reverse"),
+    *("__delitem__", "__iadd__"),
 ):
     setattr(Listed, _name, _growing(_name))
 
