@@ -31,6 +31,10 @@ def _operation(name: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any
     )
 
 
+def _each(function: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    return lambda self: applied(function, self)
+
+
 class Choice(Number):
     """One of several numbers: ``cases[index]``, of which one is a float at least.
 
@@ -72,23 +76,14 @@ class Choice(Number):
     def __repr__(self) -> str:
         return "a number that a word chooses"
 
-    def __neg__(self) -> Any:
-        return applied(operator.neg, self)
+    __neg__ = _each(operator.neg)
+    __abs__ = _each(abs)
+    __floor__ = _each(math.floor)
+    __ceil__ = _each(math.ceil)
+    __trunc__ = _each(math.trunc)
 
     def __pos__(self) -> Choice:
         return self
-
-    def __abs__(self) -> Any:
-        return applied(abs, self)
-
-    def __floor__(self) -> Any:
-        return applied(math.floor, self)
-
-    def __ceil__(self) -> Any:
-        return applied(math.ceil, self)
-
-    def __trunc__(self) -> Any:
-        return applied(math.trunc, self)
 
     def __round__(self, digits: int | None = None) -> Any:
         return applied(lambda case: round(case, digits), self)

@@ -98,10 +98,12 @@ def factor(value: float) -> tuple[int, int]:
     return whole >> spare, shift - spare
 
 
-def _compared(compare: Callable[[Any, Any], Any]) -> Callable[[Any, object], Any]:
+def _like(make: Callable[[Real, Real], Any]) -> Callable[[Any, object], Any]:
+    """Return an operator: it makes a real of the other number, too, and a result of both."""
+
     def method(self: Real, other: object) -> Any:
         known = self.like(other)
-        return NotImplemented if known is None else compare(self.word, known.word)
+        return NotImplemented if known is None else make(self, known)
 
     return method
 
@@ -165,19 +167,9 @@ class Real(Number):
 
     # Sums and comparisons.
 
-    def __add__(self, other: object) -> Any:
-        known = self.like(other)
-        return NotImplemented if known is None else Real(self.word + known.word, self.fraction)
-
-    __radd__ = __add__
-
-    def __sub__(self, other: object) -> Any:
-        known = self.like(other)
-        return NotImplemented if known is None else Real(self.word - known.word, self.fraction)
-
-    def __rsub__(self, other: object) -> Any:
-        known = self.like(other)
-        return NotImplemented if known is None else Real(known.word - self.word, self.fraction)
+    __add__ = __radd__ = _like(lambda a, b: Real(a.word + b.word, a.fraction))
+    __sub__ = _like(lambda a, b: Real(a.word - b.word, a.fraction))
+    __rsub__ = _like(lambda a, b: Real(b.word - a.word, a.fraction))
 
     def __neg__(self) -> Real:
         return Real(-self.word, self.fraction)
@@ -188,12 +180,12 @@ class Real(Number):
     def __abs__(self) -> Real:
         return Real(absolute(self.word), self.fraction)
 
-    __lt__ = _compared(operator.lt)
-    __le__ = _compared(operator.le)
-    __gt__ = _compared(operator.gt)
-    __ge__ = _compared(operator.ge)
-    __eq__ = _compared(operator.eq)
-    __ne__ = _compared(operator.ne)
+    __lt__ = _like(lambda a, b: a.word < b.word)
+    __le__ = _like(lambda a, b: a.word <= b.word)
+    __gt__ = _like(lambda a, b: a.word > b.word)
+    __ge__ = _like(lambda a, b: a.word >= b.word)
+    __eq__ = _like(lambda a, b: a.word == b.word)
+    __ne__ = _like(lambda a, b: a.word != b.word)
 
     def __bool__(self) -> bool:
         return bool(self.word != 0)
@@ -224,9 +216,7 @@ class Real(Number):
         known = self.like(other)
         return NotImplemented if known is None else self._quotient(self.word, known.word)
 
-    def __rtruediv__(self, other: object) -> Any:
-        known = self.like(other)
-        return NotImplemented if known is None else self._quotient(known.word, self.word)
+    __rtruediv__ = _like(lambda a, b: a._quotient(b.word, a.word))
 
     def _quotient(self, numerator: Any, divisor: Any) -> Real:
         return self._made(functions.quotient, numerator, divisor, self.fraction)
@@ -239,19 +229,11 @@ class Real(Number):
         known = self._divisor(other, "%")
         return known if known is NotImplemented else Real(remainder(self.word, known), self.fraction)
 
-    def __rfloordiv__(self, other: object) -> Any:
-        return self._divided("//", other)
-
-    def __rmod__(self, other: object) -> Any:
-        return self._divided("%", other)
+    __rfloordiv__ = _like(lambda a, b: b // a)
+    __rmod__ = _like(lambda a, b: b % a)
 
     def __divmod__(self, other: object) -> Any:
         return self // other, self % other
-
-    def _divided(self, operation: str, other: object) -> Any:
-        """Divide another number by this one, leaving a remainder."""
-        known = self.like(other)
-        return NotImplemented if known is None else _OPERATIONS[operation](known, self)
 
     def _divisor(self, other: object, operation: str) -> Any:
         """Return the word of a divisor that leaves a remainder."""
@@ -354,9 +336,6 @@ class Real(Number):
         if isinstance(self.word, Word):
             raise ArgumentError("a real becomes text, and it has no value before hardware runs")
         return format(float(self), specification)
-
-
-_OPERATIONS = {"//": operator.floordiv, "%": operator.mod}
 
 
 def integer(value: object) -> Any:
