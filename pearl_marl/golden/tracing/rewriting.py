@@ -506,11 +506,9 @@ class _Expressions(ast.NodeTransformer):
     def comparison(self, node: ast.Compare) -> Any:
         """Return chains as calls, and what compares sequences."""
         values = [self.visit(v) for v in (node.left, *node.comparators)]
-        names = [type(op).__name__ for op in node.ops]
+        names = [_COMPARISONS[type(op).__name__] for op in node.ops]
         if len(names) == 1:
-            if names[0] in _COMPARISONS:
-                return _expression(f"{RUNTIME}.{_COMPARISONS[names[0]]}", values, node)
-            return ast.copy_location(ast.Compare(values[0], node.ops, values[1:]), node)
+            return _expression(f"{RUNTIME}.{names[0]}", values, node)
         each = ast.Tuple([ast.Constant(name) for name in names], ast.Load())
         result = [each, values[0], *map(self.later, values[1:])]
         return _expression(f"{RUNTIME}.chain", result, node)

@@ -194,28 +194,12 @@ class Runtime:
         return not flag if isinstance(flag, bool) else Word(self.graph, self.graph.logical_not(flag))
 
     def chain(self, names: Sequence[str], first: Any, *later: Callable[[], Any]) -> Any:
-        """Return a chain of comparisons."""
+        """Return a chain of comparisons, which methods of these names make."""
         second = later[0]()
-        result = self.compared(names[0], first, second)
+        result = getattr(self, names[0])(first, second)
         if len(names) == 1:
             return result
         return self.both(result, lambda: self.chain(names[1:], second, *later[1:]))
-
-    def compared(self, name: str, a: Any, b: Any) -> Any:
-        """Return one comparison, by the name of its node."""
-        mine: dict[str, Callable[[Any, Any], Any]] = {
-            "Eq": self.equal,
-            "NotEq": self.differ,
-            "In": self.contains,
-            "NotIn": self.lacks,
-            "Lt": self.less,
-            "LtE": self.less_equal,
-            "Gt": self.greater,
-            "GtE": self.greater_equal,
-            "Is": self.same,
-            "IsNot": self.other,
-        }
-        return mine[name](a, b)
 
     def equal(self, a: Any, b: Any) -> Any:
         """Return ``a == b``, of sequences of words, too."""
@@ -234,23 +218,8 @@ class Runtime:
             return self.negation(self.equal(a, b))
         return a != b
 
-    def less(self, a: Any, b: Any) -> Any:
-        """Return ``a < b``, of sequences of words, too."""
-        return self._ordered(operator.lt, a, b)
-
-    def less_equal(self, a: Any, b: Any) -> Any:
-        """Return ``a <= b``."""
-        return self._ordered(operator.le, a, b)
-
-    def greater(self, a: Any, b: Any) -> Any:
-        """Return ``a > b``."""
-        return self._ordered(operator.gt, a, b)
-
-    def greater_equal(self, a: Any, b: Any) -> Any:
-        """Return ``a >= b``."""
-        return self._ordered(operator.ge, a, b)
-
     def _ordered(self, compare: Callable[[Any, Any], Any], a: Any, b: Any) -> Any:
+        """Return a comparison by order, of sequences of words, too."""
         kind = next((k for k in (tuple, list) if isinstance(a, k) and isinstance(b, k)), None)
         if kind is None or not (has_words(a) or has_words(b)):
             return compare(a, b)
@@ -260,6 +229,11 @@ class Runtime:
             other = self._ordered(compare, a[k], b[k])
             result = self.either(self.equal(a[k], b[k]), lambda: result, lambda: other)  # noqa: B023
         return result
+
+    less = functools.partialmethod(_ordered, operator.lt)
+    less_equal = functools.partialmethod(_ordered, operator.le)
+    greater = functools.partialmethod(_ordered, operator.gt)
+    greater_equal = functools.partialmethod(_ordered, operator.ge)
 
     def contains(self, value: Any, among: Any) -> Any:
         """Return ``value in among``."""
