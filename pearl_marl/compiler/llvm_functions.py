@@ -52,6 +52,10 @@ FAILED = ir.IntType(8)
 """What such a function returns: 1 where there is no memory left, and else 0."""
 
 
+def _operator(name: str) -> Callable[[Value, Value | float], Value]:
+    return lambda self, other: self._with(name, other)
+
+
 class Value:
     """A word that instructions compute: LLVM's value, and Numba's type.
 
@@ -140,37 +144,16 @@ class Value:
     def _compared(self, name: str, other: Value | int) -> Value:
         return self.code.operation(COMPARISONS[name], self.type, types.uint8, self, other)
 
-    def __add__(self, other: Value | int) -> Value:
-        return self._with("add", other)
-
-    def __sub__(self, other: Value | int) -> Value:
-        return self._with("sub", other)
-
-    def __mul__(self, other: Value | float) -> Value:
-        return self._with("mul", other)
-
-    __rmul__ = __mul__
-
-    def __and__(self, other: Value | int) -> Value:
-        return self._with("and", other)
-
-    def __or__(self, other: Value | int) -> Value:
-        return self._with("or", other)
-
-    def __xor__(self, other: Value | int) -> Value:
-        return self._with("xor", other)
-
-    def __lshift__(self, other: Value | int) -> Value:
-        return self._with("left", other)
-
-    def __rshift__(self, other: Value | int) -> Value:
-        return self._with("right", other)
-
-    def __floordiv__(self, other: Value | int) -> Value:
-        return self._with("divide", other)
-
-    def __mod__(self, other: Value | int) -> Value:
-        return self._with("modulo", other)
+    __add__ = _operator("add")
+    __sub__ = _operator("sub")
+    __mul__ = __rmul__ = _operator("mul")
+    __and__ = _operator("and")
+    __or__ = _operator("or")
+    __xor__ = _operator("xor")
+    __lshift__ = _operator("left")
+    __rshift__ = _operator("right")
+    __floordiv__ = _operator("divide")
+    __mod__ = _operator("modulo")
 
     def __lt__(self, other: Value | int) -> Value:
         return self._compared("less", other)
