@@ -229,8 +229,9 @@ class _Function:
         own = {a.arg for a in _arguments(node.args)}
         elsewhere = {n for s in _inside(body) if isinstance(s, (ast.Nonlocal, ast.Global)) for n in s.names}
         self.unbound = [n for n in _stored(joined) if n not in own | elsewhere]
-        # Annotations are for readers, and may name what is known to a type checker only.
-        new = ast.FunctionDef(node.name, _plain(node.args), [], [], None, None)
+        for argument in _arguments(node.args):
+            argument.annotation = None  # for readers, and may name what is known to a type checker only
+        new = ast.FunctionDef(node.name, node.args, [], [], None, None)
         if "type_params" in ast.FunctionDef._fields:
             new.type_params = []  # type: ignore[attr-defined]
         statements = [_statement(f"{_FRAME} = {RUNTIME}.frame()", node)]
@@ -627,26 +628,6 @@ def _has_parts(target: ast.expr) -> bool:
 def _arguments(args: ast.arguments) -> list[ast.arg]:
     every = [*args.posonlyargs, *args.args, *args.kwonlyargs]
     return every + [a for a in (args.vararg, args.kwarg) if a is not None]
-
-
-def _plain(args: ast.arguments) -> ast.arguments:
-    """Return arguments without annotations; defaults come from the function itself."""
-
-    def bare(arg: ast.arg | None) -> ast.arg | None:
-        return None if arg is None else ast.copy_location(ast.arg(arg.arg), arg)
-
-    def all_bare(several: Sequence[ast.arg]) -> list[ast.arg]:
-        return [new for arg in several if (new := bare(arg)) is not None]
-
-    return ast.arguments(
-        all_bare(args.posonlyargs),
-        all_bare(args.args),
-        bare(args.vararg),
-        all_bare(args.kwonlyargs),
-        list(args.kw_defaults),
-        bare(args.kwarg),
-        list(args.defaults),
-    )
 
 
 def _placed(new: _Node, node: ast.AST) -> _Node:
