@@ -8,7 +8,6 @@ functions of that kind.
 from __future__ import annotations
 
 import functools
-from importlib import import_module
 from typing import Annotated, Any, get_origin, get_type_hints
 
 import numba
@@ -75,8 +74,7 @@ def _borrowed(context: Any, builder: Any, of: Any, value: Any) -> Any:
         return value
     if not isinstance(of, types.Array):
         return value
-    # Imported here: importing this package should not load Numba's module about arrays.
-    array = import_module("numba.np.arrayobj").make_array(of)(context, builder, value)
+    array = context.make_array(of)(context, builder, value)
     for owner in ("meminfo", "parent"):
         null = context.get_constant_null(types.intp)
         setattr(array, owner, builder.inttoptr(null, getattr(array, owner).type))

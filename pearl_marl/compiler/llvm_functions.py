@@ -23,16 +23,7 @@ from numba.extending import intrinsic
 
 from pearl_marl.base import object_code
 from pearl_marl.compiler.llvm_loops import Writer
-from pearl_marl.compiler.llvm_words import (
-    ARITHMETIC,
-    BYTES,
-    COMPARISONS,
-    FLOATS,
-    INTEGERS,
-    NUMBERS,
-    Maker,
-    arrays,
-)
+from pearl_marl.compiler.llvm_words import ARITHMETIC, BYTES, COMPARISONS, FLOATS, INTEGERS, NUMBERS, Maker
 from pearl_marl.golden.rebinding import rebound
 
 cgutils: Any = _cgutils
@@ -294,7 +285,8 @@ class Code(Writer):
             return [self.argument(self.extract_value(value, k), t) for k, t in enumerate(own)]
         if isinstance(type_, types.Array):
             assert type_.layout == "C", "words are side by side"
-            return WordArray(self, arrays().make_array(type_)(self._context, self, value).data, type_.dtype)
+            array = self._context.make_array(type_)(self._context, self, value)
+            return WordArray(self, array.data, type_.dtype)
         if type_ == types.boolean:
             return Value(self, self.zext(value, ir.IntType(8)), types.uint8)
         return Value(self, value, type_)
@@ -402,16 +394,13 @@ class Code(Writer):
 
     def row(self, words: WordArray, index: Value, count: int) -> tuple[Any, Any]:
         """Return some words as an array of Numba's, and its type."""
-        type_ = types.Array(words.type, 1, "C")
-        array, size = (
-            arrays().make_array(type_)(self._context, self),
-            ir.IntType(64)(words.type.bitwidth // 8),
-        )
+        type_, number = types.Array(words.type, 1, "C"), ir.IntType(64)
+        array, size = self._context.make_array(type_)(self._context, self), number(words.type.bitwidth // 8)
         # It owns nothing: the caller of the kernel holds the array.
-        arrays().populate_array(
+        self._context.populate_array(
             array,
             data=words.at(index),
-            shape=[ir.IntType(64)(count)],
+            shape=[number(count)],
             strides=[size],
             itemsize=size,
             meminfo=None,

@@ -15,7 +15,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from pearl_marl.compiler.llvm_words import BYTES, arrays
+from pearl_marl.compiler.llvm_words import BYTES
 from pearl_marl.planes import interleave, mark, mark_moving
 
 BITS = 64
@@ -30,7 +30,7 @@ def _interleave(_: Any, first: Any, second: Any, count: Any, row: Any) -> Any:
             _bytes(builder, context.cast(builder, board, of, types.uint64))
             for board, of in zip(operands[:2], signature.args[:2], strict=True)
         ]
-        data = builder.bitcast(arrays().make_array(row)(context, builder, operands[3]).data, BYTES)
+        data = builder.bitcast(context.make_array(row)(context, builder, operands[3]).data, BYTES)
         start = 0
         while start < 2 * bits:
             size = min(BITS, 1 << (2 * bits - start).bit_length() - 1)

@@ -8,7 +8,6 @@ they cast their operands.
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import import_module
 from types import SimpleNamespace
 from typing import Any
 
@@ -91,11 +90,6 @@ ARITHMETIC: dict[str, Maker] = {
 INTEGERS = [types.Integer.from_bitwidth(bits, signed) for bits in (8, 16, 32, 64) for signed in (False, True)]
 FLOATS = [types.float32, types.float64]
 NUMBERS: list[Any] = [*INTEGERS, *FLOATS]
-
-
-def arrays() -> Any:
-    """Return Numba's module about arrays, which takes long to import."""
-    return import_module("numba.np.arrayobj")
 
 
 def operations() -> dict[str, Any]:

@@ -8,7 +8,6 @@ Matrices are multiplied by a block of sums that stay in SIMD registers, made of 
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import import_module
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -64,11 +63,6 @@ class NetworkInputs(NamedTuple):
         return self._replace(x=self.x[rows], numbers=self.numbers[rows], position=position)
 
 
-def _data(context: Any, builder: Any, of: Any, array: Any) -> Any:
-    # Imported here: importing this package should not load Numba's module about arrays.
-    return import_module("numba.np.arrayobj").make_array(of)(context, builder, array).data
-
-
 _intrinsic: Any = intrinsic
 
 
@@ -82,7 +76,7 @@ def _block(_: Any, c: Any, a: Any, b: Any, at: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
         arrays = zip(signature.args[:3], operands[:3], strict=True)
-        sums, left, right = (_data(context, builder, of, array) for of, array in arrays)
+        sums, left, right = (context.make_array(of)(context, builder, array).data for of, array in arrays)
         c0, width, a0, down, along, b0, across, depth = (
             builder.extract_value(operands[3], k) for k in range(8)
         )

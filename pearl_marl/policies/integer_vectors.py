@@ -79,11 +79,9 @@ class _VectorCode:
     """The code of a function that is being made, with its arrays as pointers to their data."""
 
     def __init__(self, context: Any, builder: Any, kinds: Any, operands: Any) -> None:
-        # By name: nobody who only imports this package should wait for Numba's modules.
-        make_array = import_module("numba.np.arrayobj").make_array
         self.builder, self._numbers = builder, operands[1]
         self.arrays = [
-            make_array(kind)(context, builder, builder.extract_value(operands[0], k)).data
+            context.make_array(kind)(context, builder, builder.extract_value(operands[0], k)).data
             for k, kind in enumerate(kinds)
         ]
 
