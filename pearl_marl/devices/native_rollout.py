@@ -28,7 +28,7 @@ from pearl_marl.policies import dense_policy, device_policy, golden_policy, inte
 from pearl_marl.policies.dense_policy import DenseNetwork
 from pearl_marl.policies.device_policy import FIRST_DRAW, CompiledPolicy, DevicePolicy
 from pearl_marl.policies.golden_policy import GoldenPolicy
-from pearl_marl.policies.integer_loops import called
+from pearl_marl.policies.integer_loops import called, put, put_rows
 from pearl_marl.policies.integer_network import AgentNetworks, IntegerNetwork
 
 TICK, SEED_0, SEED_1, FIRST_SLOT, NEXT_STEP = map(
@@ -81,19 +81,6 @@ class StepArrays(NamedTuple):
         }
         for name, array in named.items():
             arguments[STEP_ARGUMENTS.index(name)] = array.ctypes.data
-
-
-@called
-def _put(own: Array, to: Array) -> None:
-    """Copy a row: to assign it takes Numba seconds to compile, for the message of another length."""
-    for i in range(np.uint64(len(own))):
-        to[i] = own[i]
-
-
-@called
-def _copy(own: Array, to: Array) -> None:
-    for i in range(len(own)):
-        _put(own[i], to[i])
 
 
 @called
@@ -174,31 +161,31 @@ def _rollout(act, policy, n_draws, step, arguments, table, batch, sums, record, 
             else:
                 call_act(act, to_act)
             if size == 1:
-                _put(flat, actions)
+                put(flat, actions)
             elif size == 2:
-                _put(flat, actions.view(np.uint16))
+                put(flat, actions.view(np.uint16))
             elif size == 4:
-                _put(flat, actions.view(np.uint32))
+                put(flat, actions.view(np.uint32))
             else:
-                _put(flat, actions.view(np.int64))
+                put(flat, actions.view(np.int64))
             if keep:
-                _copy(elements.reshape((n, row)), record.observations[t, first:last])
-                _copy(own, record.words[t, first:last])
-                _copy(logits[:n], record.logits[t, first:last])
+                put_rows(elements.reshape((n, row)), record.observations[t, first:last])
+                put_rows(own, record.words[t, first:last])
+                put_rows(logits[:n], record.logits[t, first:last])
                 if masked:
-                    _copy(masks, record.masks[t, first:last])
+                    put_rows(masks, record.masks[t, first:last])
             if learns:
-                _put(batch.present[first:last], record.present[t, first:last])
+                put(batch.present[first:last], record.present[t, first:last])
             call_step(step, to_step)
             _add(sums, batch, first, n, t, arguments[NEXT_STEP])
             if keep:
-                _put(batch.rewards[first:last], record.rewards[t, first:last])
-                _put(batch.terminations[first:last], record.terminations[t, first:last])
-                _put(batch.truncations[first:last], record.truncations[t, first:last])
+                put(batch.rewards[first:last], record.rewards[t, first:last])
+                put(batch.terminations[first:last], record.terminations[t, first:last])
+                put(batch.truncations[first:last], record.truncations[t, first:last])
             if learns:
                 for i in range(first, last):
                     if batch.truncations[i]:
-                        _put(batch.final[i * row : (i + 1) * row], record.final[t, i])
+                        put(batch.final[i * row : (i + 1) * row], record.final[t, i])
         for i in range(first, last):
             sums.length[i] += steps
 

@@ -573,18 +573,17 @@ _agents_at = fields_at(AgentFields)
 
 
 @called
-def _take_every(rows: Array, first: int, agents: int, taken: Array) -> None:
-    """Copy every row of one agent."""
-    for i in range(len(taken)):
-        for k in range(taken.shape[1]):
-            taken[i, k] = rows[first + i * agents, k]
+def put(own: Array, to: Array) -> None:
+    """Copy a row: to assign it takes Numba seconds to compile, for the message of another length."""
+    for i in range(np.uint64(len(own))):
+        to[i] = own[i]
 
 
 @called
-def _give_every(given: Array, first: int, agents: int, rows: Array) -> None:
-    for i in range(len(given)):
-        for k in range(given.shape[1]):
-            rows[first + i * agents, k] = given[i, k]
+def put_rows(own: Array, to: Array) -> None:
+    """Copy rows; there may be more where they are copied to."""
+    for i in range(len(own)):
+        put(own[i], to[i])
 
 
 def _act_apart(networks, elements, masks, draws, words, logits):  # type: ignore[no-untyped-def]
@@ -598,13 +597,13 @@ def _act_apart(networks, elements, masks, draws, words, logits):  # type: ignore
     own_words = np.empty((n, words.shape[1]), np.int64)
     own_logits = np.empty((n if len(logits) else 0, logits.shape[1]), np.int32)
     for agent in range(agents):
-        _take_every(rows, agent, agents, own)
-        _take_every(masks, agent, agents, own_masks)
-        _take_every(draws, agent, agents, own_draws)
+        put_rows(rows[agent::agents], own)
+        put_rows(masks[agent::agents], own_masks)
+        put_rows(draws[agent::agents], own_draws)
         arguments = net.memory[agent], own.reshape(-1), own_masks, own_draws, own_words, own_logits
         call_act(net.acts[agent], arguments)
-        _give_every(own_words, agent, agents, words)
-        _give_every(own_logits, agent, agents, logits)
+        put_rows(own_words, words[agent::agents])
+        put_rows(own_logits, logits[agent::agents])
 
 
 compiled_act_apart = compiled_loop(_act_apart, addresses)
