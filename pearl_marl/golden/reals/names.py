@@ -18,7 +18,7 @@ from pearl_marl.golden.reals.choices import Choice, applied, choice_of, select
 from pearl_marl.golden.reals.dispatch import NUMPY
 from pearl_marl.golden.reals.numbers import Real
 from pearl_marl.golden.reals.words import greatest, least
-from pearl_marl.golden.tracing.words import Word
+from pearl_marl.golden.tracing.words import OPERATORS, Word
 
 FUNCTIONS: dict[Any, Callable[..., Any]] = {}
 """What takes the place of Python's and NumPy's functions where a golden function names them."""
@@ -123,21 +123,5 @@ _extreme(max, Real.maximum, greatest)
 _extreme(np.maximum, Real.maximum, greatest)
 _register(np.clip, clip)
 _register(np.where, select)
-NUMPY.update(
-    {
-        np.add: operator.add,
-        np.subtract: operator.sub,
-        np.multiply: operator.mul,
-        np.true_divide: operator.truediv,
-        np.floor_divide: operator.floordiv,
-        np.remainder: operator.mod,
-        np.negative: operator.neg,
-        np.positive: operator.pos,
-        np.equal: operator.eq,
-        np.not_equal: operator.ne,
-        np.less: operator.lt,
-        np.less_equal: operator.le,
-        np.greater: operator.gt,
-        np.greater_equal: operator.ge,
-    }
-)
+NUMPY.update({getattr(np, name): function for name, function in OPERATORS.items()})
+NUMPY.update({np.true_divide: operator.truediv, np.negative: operator.neg, np.positive: operator.pos})

@@ -226,22 +226,27 @@ for _name in ("add", "sub", "mul", "truediv", "mod", "pow"):
 for _name in ("eq", "ne", "lt", "le", "gt", "ge"):
     setattr(Word, f"__{_name}__", _leaving(f"__{_name}__"))
 
-_UFUNCS: dict[str, Any] = {
-    **{f"bitwise_{name}": getattr(operator, f"{name}_") for name in ("and", "or")},
-    "bitwise_xor": operator.xor,
+OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
     "add": operator.add,
     "subtract": operator.sub,
     "multiply": operator.mul,
     "floor_divide": operator.floordiv,
     "remainder": operator.mod,
-    "left_shift": operator.lshift,
-    "right_shift": operator.rshift,
     "equal": operator.eq,
     "not_equal": operator.ne,
     "less": operator.lt,
     "less_equal": operator.le,
     "greater": operator.gt,
     "greater_equal": operator.ge,
+}
+"""What NumPy's functions of these names do to two numbers, integers or reals."""
+
+_UFUNCS = OPERATORS | {
+    "bitwise_and": operator.and_,
+    "bitwise_or": operator.or_,
+    "bitwise_xor": operator.xor,
+    "left_shift": operator.lshift,
+    "right_shift": operator.rshift,
 }
 
 
