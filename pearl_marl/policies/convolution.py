@@ -225,27 +225,17 @@ _hash_of, _find_kinds_of, _filter_of, _filter_gradients_of, _no_kinds_of = (
 )
 
 
-def _by_filter(weights: Array, width: int, begin: int, count: int) -> Array:
-    """Return weights ``(outputs, places * filters)`` as ``(places, filters * width)``; the rest are zeros.
+def _arranged(weights: Array, width: int, begin: int, count: int, by_filter: bool) -> Array:
+    """Return weights ``(outputs, places * filters)`` of ``count`` places, from ``begin`` on.
 
-    They are those of ``count`` places, from ``begin`` on.
+    They become ``(places, filters * width)``, or ``(places, width * filters)``; the rest are zeros.
     """
     found = np.zeros((count, FILTERS * width), np.float32)
     for square in range(len(found)):
         for output in range(len(weights)):
             for number in range(FILTERS):
-                found[square, number * width + output] = weights[output, (begin + square) * FILTERS + number]
-    return found
-
-
-def _by_output(weights: Array, width: int, begin: int, count: int) -> Array:
-    """Return the same as ``(places, width * filters)``."""
-    found = np.zeros((count, FILTERS * width), np.float32)
-    for square in range(len(found)):
-        for output in range(len(weights)):
-            for number in range(FILTERS):
-                weight = weights[output, (begin + square) * FILTERS + number]
-                found[square, output * FILTERS + number] = weight
+                to = number * width + output if by_filter else output * FILTERS + number
+                found[square, to] = weights[output, (begin + square) * FILTERS + number]
     return found
 
 
@@ -260,7 +250,7 @@ def _add_empty(
                 by_linear[output, to] = by_weights[number * width + output] + total[output] * of_empty[to]
 
 
-_by_filter_of, _by_output_of = _compiled(_by_filter), _compiled(_by_output)
+_arranged_of = _compiled(_arranged)
 _add_empty_of: Callable[..., None] = njit(nogil=True, fastmath={"contract"})(_add_empty)
 
 
@@ -286,7 +276,7 @@ def _outputs(
     :data:`SPARE` more have to be there.
     """
     width, kinds, (begin, squares) = outputs.shape[1], _no_kinds_of(size), _places_in(layer, lines)
-    weights = _by_filter_of(linear, width, begin, squares)
+    weights = _arranged_of(linear, width, begin, squares, True)
     # With a few columns more, a picture's hashes do not all fall into the same set of the cache.
     hashes = np.empty((squares, size + TOGETHER), np.uint64)
     products = np.empty(size * width, np.float32)
@@ -330,7 +320,7 @@ def _gradients(
     above 0.
     """
     width, kinds, (begin, squares) = by_outputs.shape[1], _no_kinds_of(size), _places_in(layer, lines)
-    weights = _by_output_of(linear, width, begin, squares)
+    weights = _arranged_of(linear, width, begin, squares, False)
     by_weights = np.zeros(weights.size, np.float32)
     # With a few columns more, a picture's hashes do not all fall into the same set of the cache.
     hashes = np.empty((squares, size + TOGETHER), np.uint64)
