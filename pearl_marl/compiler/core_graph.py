@@ -13,7 +13,7 @@ from pearl_marl.golden.tracing.graph import Graph
 from pearl_marl.golden.tracing.nodes import Node
 from pearl_marl.golden.tracing.trace import trace
 from pearl_marl.layout.positional import row_of
-from pearl_marl.spec import TERMINATED, EnvSpec, Field, word_bits
+from pearl_marl.spec import TERMINATED, EnvSpec, Field
 
 
 class Output(NamedTuple):
@@ -21,7 +21,6 @@ class Output(NamedTuple):
 
     port: str
     field: str
-    offset: int
     bits: int
     node: Node
 
@@ -66,11 +65,9 @@ def core_graph(spec: EnvSpec) -> CoreGraph:
         if node.name is None and node.op != "constant":
             node.name = f"next_{field.name}"
     outputs = _packed("state_o", spec.state, after)
-    offset = 0
     for agent in spec.views:
         observed = [node for view in spec.functions[2:] for node in trace(graph, view, after, *agent)]
-        outputs += _packed("obs_o", spec.agent_fields, _narrowed(graph, observed, spec.agent_fields), offset)
-        offset += word_bits(spec.agent_fields)
+        outputs += _packed("obs_o", spec.agent_fields, _narrowed(graph, observed, spec.agent_fields))
     outputs += _packed(
         "reward_o", spec.each_agent(replace(spec.reward, name="reward")), unseen[: spec.agents]
     )
@@ -146,9 +143,5 @@ def _narrowed(graph: Graph, nodes: Sequence[Node], fields: Sequence[Field]) -> l
     return [graph.wrap(node, f.bits, f.signed) for node, f in zip(nodes, fields, strict=True)]
 
 
-def _packed(port: str, fields: Sequence[Field], nodes: Sequence[Node], offset: int = 0) -> list[Output]:
-    outputs = []
-    for field, node in zip(fields, nodes, strict=True):
-        outputs.append(Output(port, field.name, offset, field.bits, node))
-        offset += field.bits
-    return outputs
+def _packed(port: str, fields: Sequence[Field], nodes: Sequence[Node]) -> list[Output]:
+    return [Output(port, field.name, field.bits, node) for field, node in zip(fields, nodes, strict=True)]

@@ -18,7 +18,7 @@ XC7, ECP5 = Target("xc7", 150), Target("ecp5", 150)
 
 def made(graph: Graph, node: Node, bits: int, target: Target) -> Node:
     """Return what becomes of a node, and hold it against the node in random cases."""
-    (output,) = lowered(graph, [Output("obs_o", "word", 0, bits, node)], target)
+    (output,) = lowered(graph, [Output("obs_o", "word", bits, node)], target)
     chance = random.Random(bits)
     for _ in range(200):
         inputs = {
@@ -134,7 +134,7 @@ def test_one_long_delay_is_better_than_two_where_there_are_shift_registers(
     flag = graph.less(numbers[3], graph.constant(12345))
     # Once the flag is known the sum is a bit less to keep than what it is made of.
     word = graph.wrap(graph.add(graph.input("word", 30), flag), 30, False)
-    outputs = [Output("obs_o", "word", 0, 30, word), Output("state_o", "last", 0, 32, numbers[-1])]
+    outputs = [Output("obs_o", "word", 30, word), Output("state_o", "last", 32, numbers[-1])]
     schedule = scheduled(lowered(graph, outputs, target), target)
     long = [n for n in schedule.order if schedule.last[n] - schedule.stage[n] > 2]
     assert sum(schedule.used[n].bit_count() == 30 for n in long) == delayed

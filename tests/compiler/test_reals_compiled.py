@@ -71,7 +71,7 @@ def test_cores(name: str) -> None:
     spec, generator = SPECS[name], random.Random(0)
     graph, fields = Graph(exact=False), inputs(spec)
     roots = traced(spec.positional.step, *fields)
-    outputs = lowered(graph, [Output("state_o", f"{k}", 0, 40, node) for k, node in enumerate(roots)], XC7)
+    outputs = lowered(graph, [Output("state_o", f"{k}", 40, node) for k, node in enumerate(roots)], XC7)
     for _ in range(20):
         words = posed(spec, generator)
         given = {field.name: word for field, word in zip(fields, words, strict=True)}

@@ -104,8 +104,9 @@ def assert_means(spec: EnvSpec, outputs: Iterable[Output], count: int) -> None:
             assert node.low <= value <= node.high, node
             assert node.low < 0 or value & ~node.ones == 0, node
         words = dict.fromkeys(due, 0)
-        for output in outputs:
-            words[output.port] |= (found[output.node] & ((1 << output.bits) - 1)) << output.offset
+        for output in reversed(outputs):
+            word = found[output.node] & ((1 << output.bits) - 1)
+            words[output.port] = words[output.port] << output.bits | word
         for port in ("state_o", "obs_o") if hold[i] else due:
             assert words[port] == due[port][i], f"{port} of {inputs}"
 
