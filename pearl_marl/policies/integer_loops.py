@@ -28,7 +28,7 @@ from pearl_marl.policies.integer_network import (
     Levels,
     Patches,
     Rows,
-    Scaling,
+    loop_parts,
 )
 from pearl_marl.policies.integer_vectors import (
     HALF,
@@ -73,7 +73,7 @@ class Prepared(NamedTuple):
     offset: Words  # one an element; of LOOKED_UP and PICKED one a choice: the row of zeros
     multiplier: Words
     input_shift: Words  # of PLANES, that of sums and that of elements
-    limit: int
+    input_limit: int
     factors: Words2  # (choices, elements)
     table: Sums2  # (rows, width)
     picks: Sums2  # (rows, fields): the action of each row, where a row decides
@@ -91,32 +91,22 @@ class Prepared(NamedTuple):
     counts: Words
     chance_shift: int
     chances: Words
-    level: Words2  # (4, fields): multiplier, offset, low, high
+    levels: Words2  # (4, fields): multiplier, offset, low, high
     level_shift: int
-    draws: int
 
 
 def prepared(network: IntegerNetwork, dtype: np.dtype[Any]) -> Prepared:
     """Return a network as compiled loops take it, for elements of a dtype."""
     inputs, head, layers = network.inputs, network.head, network.layers
-    none, empty = np.zeros(0, np.int64), np.zeros((0, 0), np.int32)
-    offset, multiplier, shift, limit, kind = none, none, none, 0, SCALED
-    factors, table, picks, shape = np.zeros((0, 0), np.int64), empty, empty, none
-    filters, filter_bias = np.zeros((0, 0, 0, 0), np.int32), np.zeros(0, np.int32)
-    match inputs:
-        case Scaling():
-            offset, multiplier, shift = (array.astype(np.int64) for array in inputs[:3])
-            limit = inputs.limit
-        case Rows():
-            kind, offset, factors = LOOKED_UP, inputs.first.astype(np.int64), inputs.factors.astype(np.int64)
-            table = np.array(inputs.table, np.int32, order="C")
-            if _row_decides(network):
-                kind, picks = PICKED, _picks(table + layers[0].bias.astype(np.int64), head)
-        case Patches():
-            kind, limit, shape = PLANES, inputs.limit, np.array(inputs.shape, np.int64)
-            shift = np.array([inputs.shift, inputs.element_shift], np.int64)
-            filters = np.array(inputs.weights.transpose(3, 1, 2, 0)[:, :, ::-1], np.int32, order="C")
-            filter_bias = inputs.bias.astype(np.int32)
+    parts, kind = loop_parts(network), SCALED
+    picks, filters = np.zeros((0, 0), np.int32), np.zeros((0, 0, 0, 0), np.int32)
+    if isinstance(inputs, Rows):
+        kind = LOOKED_UP
+        if _row_decides(network):
+            kind, picks = PICKED, _picks(parts["table"] + layers[0].bias.astype(np.int64), head)
+    elif isinstance(inputs, Patches):
+        kind = PLANES
+        filters = np.array(inputs.weights.transpose(3, 1, 2, 0)[:, :, ::-1], np.int32, order="C")
     weights, bias = [], []
     facts = np.zeros((len(layers), 6), np.int64)
     tables, as_bytes = np.zeros((len(layers), ENTRIES), np.int32), np.zeros((len(layers), ENTRIES), np.uint8)
@@ -137,45 +127,21 @@ def prepared(network: IntegerNetwork, dtype: np.dtype[Any]) -> Prepared:
             tables[k] = layer.activation
             as_bytes[k] = np.roll(tables[k] + MIDDLE, -HALF)  # where they do not fit, nothing reads them
         facts[k] = size, groups, up, layer.shift, layer.limit, len(layer.activation) > 0
-    if isinstance(head, Levels):
-        chooses, counts, chances, chance_shift = LEVELS, none, none, 0
-        level, level_shift = (
-            np.array([head.multiplier, head.offset, head.low, head.high], np.int64),
-            head.shift,
-        )
-    else:
-        chooses, counts = (DRAWN if len(head.weights) else GREATEST), np.array(head.counts, np.int64)
-        chances, chance_shift = head.weights.astype(np.int64), head.shift
-        level, level_shift = np.zeros((4, 0), np.int64), 0
     return Prepared(
-        kind,
-        dtype.itemsize,
-        int(dtype.kind == "i"),
-        network.spec.observation_size,
-        offset,
-        multiplier,
-        shift,
-        limit,
-        factors,
-        table,
-        picks,
-        np.array(network.indicator, np.int32, order="C"),
-        filters,
-        filter_bias,
-        shape,
-        np.concatenate(weights),
-        np.concatenate(bias),
-        facts,
-        tables,
-        int(takes_gathers()),
-        as_bytes,
-        chooses,
-        counts,
-        chance_shift,
-        chances,
-        level,
-        level_shift,
-        network.draws,
+        kind=kind,
+        size=dtype.itemsize,
+        signed=int(dtype.kind == "i"),
+        width=network.spec.observation_size,
+        picks=picks,
+        filters=filters,
+        weights=np.concatenate(weights),
+        bias=np.concatenate(bias),
+        layers=facts,
+        tables=tables,
+        gathers=int(takes_gathers()),
+        bytes=as_bytes,
+        chooses=LEVELS if isinstance(head, Levels) else DRAWN if len(head.weights) else GREATEST,
+        **parts,
     )
 
 
@@ -292,9 +258,9 @@ def _room_for(net: Prepared) -> TileArrays:
 @called
 def _scale(net: Prepared, taken: Array, x: Array) -> None:
     """Put a tile's inputs in pairs."""
-    count = len(net.offset)
+    count, limit = len(net.offset), net.input_limit
     for k in range(count):
-        offset, multiplier, shift, limit = net.offset[k], net.multiplier[k], net.input_shift[k], net.limit
+        offset, multiplier, shift = net.offset[k], net.multiplier[k], net.input_shift[k]
         for s in range(TILE):
             scaled = (taken[k, s] - offset) * multiplier >> shift
             scaled = min(max(scaled, -limit), limit)
@@ -348,7 +314,7 @@ def _see_planes(net: Prepared, elements: Array, first: int, n: int, room: TileAr
         for k in range(net.layers[0, GROUPS]):
             group = np.int32(0)
             for i in range(size):
-                found = min(max(filtered[size * k + i] >> shift, 0), net.limit)
+                found = min(max(filtered[size * k + i] >> shift, 0), net.input_limit)
                 group |= np.int32(found) << (bits * np.int32(i))
             room.x[k, s] = group
 
@@ -511,10 +477,10 @@ def _choose(
     """Choose the actions of a tile by its last sums; ``masks`` and ``logits`` may have no rows."""
     sums = room.sums
     if net.chooses == LEVELS:
-        for k in range(net.level.shape[1]):
+        for k in range(net.levels.shape[1]):
             for s in range(n):
-                word = (np.int64(sums[k, s]) * net.level[0, k] + net.level[1, k]) >> net.level_shift
-                words[first + s, k] = min(max(word, net.level[2, k]), net.level[3, k])
+                word = (np.int64(sums[k, s]) * net.levels[0, k] + net.levels[1, k]) >> net.level_shift
+                words[first + s, k] = min(max(word, net.levels[2, k]), net.levels[3, k])
         return
     start, last = 0, first + n
     own, allowed = words[first:last], masks[first:last]

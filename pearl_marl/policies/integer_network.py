@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -259,6 +259,39 @@ class AgentNetworks(DevicePolicy):
             if choice.logits is not None:
                 logits[own] = choice.logits
         return ActionChoice(words, logits if self.logits else None)
+
+
+def loop_parts(network: IntegerNetwork) -> dict[str, Any]:
+    """Return what loops take of a network's inputs, indicator and head: arrays of their own, and numbers.
+
+    What a network has no part of is empty, or 0.
+    """
+    inputs, head = network.inputs, network.head
+    arrays: dict[str, Any] = {
+        **dict.fromkeys(("offset", "multiplier", "input_shift", "shape", "filter_bias"), ()),
+        **dict.fromkeys(("counts", "chances"), ()),
+        **dict.fromkeys(("factors", "table", "levels"), np.zeros((0, 0))),
+        "indicator": network.indicator,
+    }
+    numbers = dict.fromkeys(("input_limit", "chance_shift", "level_shift"), 0)
+    match inputs:
+        case Scaling():
+            arrays |= {"offset": inputs.offset, "multiplier": inputs.multiplier, "input_shift": inputs.shift}
+            numbers["input_limit"] = inputs.limit
+        case Rows():
+            arrays |= {"offset": inputs.first, "factors": inputs.factors, "table": inputs.table}
+        case Patches():
+            arrays |= {"shape": inputs.shape, "input_shift": (inputs.shift, inputs.element_shift)}
+            arrays["filter_bias"], numbers["input_limit"] = inputs.bias, inputs.limit
+    if isinstance(head, Head):
+        arrays |= {"counts": head.counts, "chances": head.weights}
+        numbers["chance_shift"] = head.shift
+    else:
+        arrays["levels"] = head.multiplier, head.offset, head.low, head.high
+        numbers["level_shift"] = head.shift
+    dtypes = dict.fromkeys(("table", "filter_bias", "indicator"), np.int32)
+    made = {name: np.array(array, dtypes.get(name, np.int64), order="C") for name, array in arrays.items()}
+    return numbers | made
 
 
 # NumPy multiplies matrices of integers a number at a time, and those of floats by BLAS. That is exact: sums

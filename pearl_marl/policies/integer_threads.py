@@ -13,14 +13,7 @@ import numpy as np
 from pearl_marl.base.arrays import Array
 from pearl_marl.golden.rng import CHAIN_A, CHAIN_B, draw, key
 from pearl_marl.policies.device_policy import FIRST_DRAW
-from pearl_marl.policies.integer_network import (
-    ENTRIES,
-    Head,
-    IntegerNetwork,
-    Patches,
-    Rows,
-    Scaling,
-)
+from pearl_marl.policies.integer_network import ENTRIES, IntegerNetwork, Patches, loop_parts
 
 SIDE = 3
 """Rows and columns of a patch."""
@@ -64,32 +57,10 @@ class ThreadNetwork(NamedTuple):
 
 def thread_network(network: IntegerNetwork) -> ThreadNetwork:
     """Return a network as threads take it."""
-    numbers, inputs, head = np.zeros(0, np.int64), network.inputs, network.head
-    parts: dict[str, Any] = {
-        **dict.fromkeys(("offset", "multiplier", "input_shift", "shape", "counts", "chances"), numbers),
-        **dict.fromkeys(("factors", "levels"), np.zeros((0, 0), np.int64)),
-        **dict.fromkeys(("table", "filters"), np.zeros((0, 0), np.int32)),
-        **dict.fromkeys(("input_limit", "chance_shift", "level_shift"), 0),
-        "filter_bias": np.zeros(0, np.int32),
-    }
-    match inputs:
-        case Scaling():
-            parts |= {"offset": inputs.offset, "multiplier": inputs.multiplier, "input_shift": inputs.shift}
-            parts["input_limit"] = inputs.limit
-        case Rows():
-            parts |= {"offset": inputs.first, "factors": inputs.factors, "table": inputs.table}
-        case Patches():
-            shifts = np.array([inputs.shift, inputs.element_shift])
-            parts |= {"shape": np.array(inputs.shape), "input_shift": shifts}
-            filters = inputs.weights.reshape(len(inputs.bias), -1).T
-            filters = np.pad(filters, ((0, 0), (0, -len(inputs.bias) % HIGH)))
-            parts |= {"filters": filters, "filter_bias": inputs.bias}
-            parts["input_limit"] = inputs.limit
-    if isinstance(head, Head):
-        parts |= {"counts": np.array(head.counts), "chance_shift": head.shift, "chances": head.weights}
-    else:
-        parts["levels"] = np.array([head.multiplier, head.offset, head.low, head.high])
-        parts["level_shift"] = head.shift
+    inputs, filters = network.inputs, np.zeros((0, 0), np.int32)
+    if isinstance(inputs, Patches):
+        filters = inputs.weights.reshape(len(inputs.bias), -1).T
+        filters = np.pad(filters, ((0, 0), (0, -len(inputs.bias) % HIGH)))
     weights, bias, tables = [], [], np.zeros((len(network.layers), ENTRIES), np.int32)
     sizes = np.zeros((len(network.layers), 2), np.int64)
     for k, layer in enumerate(network.layers):
@@ -100,25 +71,17 @@ def thread_network(network: IntegerNetwork) -> ThreadNetwork:
         bias.append(np.pad(layer.bias, (0, empty)))
         if len(layer.activation):
             tables[k] = layer.activation
-    parts |= {
-        "indicator": network.indicator,
-        "weights": np.concatenate(weights),
-        "bias": np.concatenate(bias),
-        "sizes": sizes,
-        "shifts": np.array([layer.shift for layer in network.layers]),
-        "limits": np.array([layer.limit for layer in network.layers]),
-        "tables": tables,
-        "has_table": np.array([len(layer.activation) > 0 for layer in network.layers]),
-    }
-    dtypes = {
-        **dict.fromkeys(("table", "indicator", "filters", "filter_bias", "bias", "tables"), np.int32),
-        "weights": np.int16,
-        "has_table": np.bool_,
-    }
-    for name, value in parts.items():
-        if isinstance(value, np.ndarray):
-            parts[name] = np.ascontiguousarray(value, dtypes.get(name, np.int64))
-    return ThreadNetwork(**parts)
+    return ThreadNetwork(
+        filters=np.ascontiguousarray(filters, np.int32),
+        weights=np.concatenate(weights).astype(np.int16),
+        bias=np.concatenate(bias).astype(np.int32),
+        sizes=sizes,
+        shifts=np.array([layer.shift for layer in network.layers], np.int64),
+        limits=np.array([layer.limit for layer in network.layers], np.int64),
+        tables=tables,
+        has_table=np.array([len(layer.activation) > 0 for layer in network.layers]),
+        **loop_parts(network),
+    )
 
 
 class ThreadArrays(NamedTuple):
