@@ -454,21 +454,29 @@ class Device(ABC):
         self, policy: DevicePolicy, steps: int, record: bool, episodes: int | None
     ) -> tuple[Rollout, Observed]:
         """Do a rollout, by single steps unless there is a faster way; return also what is observed last."""
-        elapsed = SlotMemory(self.config.spec, self.config.n_envs, self._read()[0]).elapsed
-        elapsed = elapsed.repeat(self.config.spec.agents)
-        sums = rollouts.Sums.of(elapsed, self.shown_to(policy).in_episode, self.resetting(), episodes)
-        kept = rollouts.Record.of(self.config, steps, policy.logits) if record else None
-        observed = rollouts.by_steps(
-            self.config,
-            policy,
-            steps,
-            sums,
-            kept,
-            self._look,
-            lambda: (self.seed, self.tick),
-            self._advance,
-        )
-        return sums.result(steps, {} if kept is None else kept.arrays(self.config)), observed
+        config, spec = self.config, self.config.spec
+        form, recorded = policy.form(spec), rollouts.recorded_form(spec)
+        elapsed = SlotMemory(spec, config.n_envs, self._read()[0]).elapsed.repeat(spec.agents)
+        sums = rollouts.Sums.of(elapsed, self._look(form).in_episode, self.resetting(), episodes)
+        kept = rollouts.Record.of(config, steps, policy.logits) if record else None
+        next_step = config.autoreset_mode is AutoresetMode.NEXT_STEP
+        room = room_for_words(spec, config.n_agents)
+        for t in range(steps):
+            seen = self._look(form)
+            obs = seen.obs if recorded is form or kept is None else self._look(recorded).obs
+            choice = rollouts.chosen(config, policy, seen, self.seed, self.tick)
+            room.reshape(choice.words.shape)[:] = choice.words
+            result = self._advance(room).on_host()
+            sums.add(result, next_step)
+            if kept is not None:
+                kept.observations[t], kept.words[t] = obs, choice.words
+                if seen.action_masks is not None:
+                    kept.masks[t] = seen.action_masks
+                kept.rewards[t], kept.terminations[t] = result.rewards, result.terminations
+                kept.truncations[t] = result.truncations
+                if choice.logits is not None:
+                    kept.logits[t] = choice.logits
+        return sums.result(steps, {} if kept is None else kept.arrays(config)), result.observed
 
     @uninterrupted
     def _advance(self, words: Array) -> BatchStep:

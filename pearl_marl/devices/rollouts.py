@@ -1,19 +1,18 @@
-"""Rollouts by single steps: what every device can do, and what others are held against.
+"""What a rollout is made of: a policy's choices, the sums, and where they are wanted the steps.
 
-The sums of a rollout are kept here, too, and its steps, where they are wanted.
+The rollout by single steps, which every device can do and others are held against, is :class:`Device`'s.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from pearl_marl.base.arrays import Array
-from pearl_marl.batch.actions import room_for_words
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.rollout import Experience, Rollout
@@ -304,38 +303,3 @@ def look(config: BatchConfig, spec: EnvSpec, memory: Array) -> Observed:
     place = 0, 0, np.int64(0), config.first_slot, False, config.n_envs, 0, config.n_envs
     compile_kernels(spec).reset(memory, memory, nothing, views, *place)
     return Observed(obs.reshape(n, -1), masks if spec.mask_fields else None, in_episode.view(np.bool_))
-
-
-def by_steps(
-    config: BatchConfig,
-    policy: DevicePolicy,
-    steps: int,
-    sums: Sums,
-    record: Record | None,
-    see: Callable[[EnvSpec], Observed],
-    position: Callable[[], tuple[tuple[int, int], int]],
-    step: Callable[[Array], BatchStep],
-) -> Observed:
-    """Act and step, so many times, and add to sums and record; return what is seen last.
-
-    ``see`` returns what agents are shown now, with observations as a spec has them; ``position`` returns seed
-    and tick, and ``step`` does a step of all slots with the words of actions.
-    """
-    spec, recorded, form = config.spec, recorded_form(config.spec), policy.form(config.spec)
-    room = room_for_words(spec, config.n_agents)
-    for t in range(steps):
-        seen = see(form)
-        obs = seen.obs if recorded is form or record is None else see(recorded).obs
-        choice = chosen(config, policy, seen, *position())
-        room.reshape(choice.words.shape)[:] = choice.words
-        result = step(room).on_host()
-        sums.add(result, config.autoreset_mode is AutoresetMode.NEXT_STEP)
-        if record is not None:
-            record.observations[t], record.words[t] = obs, choice.words
-            if seen.action_masks is not None:
-                record.masks[t] = seen.action_masks
-            record.rewards[t], record.terminations[t] = result.rewards, result.terminations
-            record.truncations[t] = result.truncations
-            if choice.logits is not None:
-                record.logits[t] = choice.logits
-    return result.observed
