@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import reduce
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -94,7 +94,9 @@ class WaitingWorlds:
             terminated, truncated = terminated | ~acting, truncated & acting
             if began.any():  # and then these are a copy
                 obs[world.rows(began) & ~acting] = 0
-        return self._by_worlds(obs, masks, step.rewards, (terminated, truncated), (began, late))
+        by_world = self._by_world
+        agents = by_world(step.rewards), by_world(terminated), by_world(truncated)
+        return WorldsStep(by_world(obs), by_world(masks), *agents, began, late)
 
     def state(self) -> Array:
         """Return ``env.state()`` as ``float32``, shape ``(n, fields)``; zeros where a step terminated."""
@@ -105,8 +107,8 @@ class WaitingWorlds:
     @property
     def action_masks(self) -> Mask | None:
         """Which actions may be taken in the next step, as in :class:`WorldsStep`."""
-        masks = self._masks(np.zeros(self.n * self.k, np.bool_))
-        return None if masks is None else self._by_world(masks)
+        masks: Mask | None = self._by_world(self._masks(np.zeros(self.n * self.k, np.bool_)))
+        return masks
 
     def _first(self) -> WorldsStep:
         """Return what is seen after a reset."""
@@ -114,8 +116,9 @@ class WaitingWorlds:
         self._terminated = np.zeros(self.n, np.bool_)
         none = np.zeros(self.n * self.k, np.bool_)
         rewards = np.zeros(self.n * self.k, np.float32)
-        agents, worlds = (~self.env.in_episode, none), (self._terminated, self._terminated)
-        return self._by_worlds(self._obs, self._masks(none), rewards, agents, worlds)
+        by_world, ended = self._by_world, self._terminated
+        agents = by_world(rewards), by_world(~self.env.in_episode), by_world(none)
+        return WorldsStep(by_world(self._obs), by_world(self._masks(none)), *agents, ended, ended)
 
     def _masks(self, over: Mask) -> Mask | None:
         """Return the masks of all agents: action 0 alone for those that are ``over`` or have no choice."""
@@ -129,19 +132,5 @@ class WaitingWorlds:
         allowed[idle, 0] = True
         return allowed
 
-    def _by_worlds(
-        self,
-        obs: Array,
-        masks: Mask | None,
-        rewards: Array,
-        agents: tuple[Mask, Mask],
-        worlds: tuple[Mask, Mask],
-    ) -> WorldsStep:
-        """Return all by world; ``agents`` and ``worlds`` have terminated, and are truncated."""
-        by_world = self._by_world
-        terminated, truncated = map(by_world, agents)
-        allowed = None if masks is None else by_world(masks)
-        return WorldsStep(by_world(obs), allowed, by_world(rewards), terminated, truncated, *worlds)
-
-    def _by_world(self, rows: Array) -> Array:
-        return rows.reshape(self.n, self.k, *rows.shape[1:])
+    def _by_world(self, rows: Any) -> Any:
+        return None if rows is None else rows.reshape(self.n, self.k, *rows.shape[1:])
