@@ -66,7 +66,7 @@ def verdict(build: Build) -> Verdict:
         lacks, unless = _lacks(found), "fits"
         source = f"synthesised {found['date']} at {found['commit']}"
     else:
-        dsp = modelled_dsp(spec, Family.XC7.target).of(layout.pe_num)
+        dsp = modelled_dsp(spec, Family.XC7.target)(layout.pe_num)
         lacks, unless = (
             _lacks({"bram36": modelled_bram36(layout), "dsp": dsp}),
             "memories and multipliers fit",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 from pearl_marl.compiler.cores import multipliers
 from pearl_marl.compiler.targets import Target
@@ -73,24 +73,15 @@ DRAW_DSP = 6
 """Multipliers of a random draw: three for each of two products of 32 bits, of which the lower half counts."""
 
 
-class Dsp(NamedTuple):
-    """How many DSPs the parts of a 7-series build need."""
+def modelled_dsp(spec: EnvSpec, target: Target) -> Callable[[int], int]:
+    """Return what says how many DSPs a 7-series build of so many processing elements needs.
 
-    keys: int
-    """For the keys of all random draws of a step."""
-    element: int
-    """In a processing element: its draws and its core."""
-
-    def of(self, pe_num: int) -> int:
-        """Return how many a build of so many elements needs."""
-        return self.keys + pe_num * self.element
-
-
-def modelled_dsp(spec: EnvSpec, target: Target) -> Dsp:
-    """Return how many DSPs a 7-series build needs; those of a core that the spec names are not counted."""
+    Those of a core that the spec names are not counted.
+    """
     draws = spec.reset_draws + spec.step_draws
     core = multipliers(spec, target) if spec.core is None else 0
-    return Dsp(DRAW_DSP * (draws > 0), DRAW_DSP * draws + core)
+    # The keys of a step's draws are made once for all elements.
+    return lambda pe_num: DRAW_DSP * (draws > 0) + pe_num * (DRAW_DSP * draws + core)
 
 
 @dataclass(frozen=True, slots=True)

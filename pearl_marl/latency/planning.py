@@ -97,7 +97,7 @@ def plan(
     dsp, host = modelled_dsp(spec, clocked("xc7", clock / 1e6)), measure_host(spec, n_envs)
     every = [
         Candidate(
-            layout, predict(spec, layout, link, host, clock), modelled_bram36(layout), dsp.of(layout.pe_num)
+            layout, predict(spec, layout, link, host, clock), modelled_bram36(layout), dsp(layout.pe_num)
         )
         for layout in (memory_map(spec, n_envs, size, width) for size in sizes for width in widths)
     ]

@@ -100,7 +100,7 @@ def plan_rollouts(
         plain = Build.of(spec, n_envs, count, data_wl)
         engine = with_engine(plain, policy).layout.engine
         assert engine is not None
-        left = None if part is None else part.dsp - dsp.of(count)
+        left = None if part is None else part.dsp - dsp(count)
         if engine.is_network:
             side = MOST_SIDE
             if left is not None:
@@ -116,7 +116,7 @@ def plan_rollouts(
             limit = "engine"
         layout = memory_map(spec, n_envs, count, plain.layout.data_wl, engine)
         rate = n_envs * spec.agents / took * clock
-        found.append(RolloutCandidate(layout, took, rate, dsp.of(count), taken, limit))
+        found.append(RolloutCandidate(layout, took, rate, dsp(count), taken, limit))
     if not found:
         name = "any part" if part is None else f"the {part.name}"
         raise ArgumentError(

@@ -182,7 +182,7 @@ def test_large_memories_are_found_in_block_ram(part: str, monkeypatch: pytest.Mo
     assert point["ff"] > 500
     assert point["bram36"] >= 0.5
     if part == "xc7":
-        assert point["dsp"] == fitting.modelled_dsp(DRAWS, Family.XC7.target).of(1) == 12
+        assert point["dsp"] == fitting.modelled_dsp(DRAWS, Family.XC7.target)(1) == 12
 
     # The second time comes from the cache: no tool runs.
     monkeypatch.setattr(toolchain, "run", lambda *_, **__: pytest.fail("a tool ran"))

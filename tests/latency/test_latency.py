@@ -213,7 +213,7 @@ def test_builds_of_table_2_that_do_not_fit_are_marked(
 
 def test_the_model_of_multipliers_is_what_yosys_made() -> None:
     for name, made in json.loads(paper_builds.FILE.read_text()).items():
-        assert modelled_dsp(get_spec(name), Family.XC7.target).of(made["pe_num"]) == made["dsp"], name
+        assert modelled_dsp(get_spec(name), Family.XC7.target)(made["pe_num"]) == made["dsp"], name
 
 
 def test_the_papers_builds_have_as_many_slots_as_fit() -> None:
