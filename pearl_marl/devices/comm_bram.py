@@ -28,6 +28,7 @@ from pearl_marl.batch.slot_memory import SlotMemory
 from pearl_marl.batch.step import BatchStep, Observed
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import Device
+from pearl_marl.devices.identity import stated_map
 from pearl_marl.devices.link_rollout import LinkRollout
 from pearl_marl.devices.transport import STAGES, Protocol, Settings, Transport
 from pearl_marl.errors import DeviceError
@@ -51,12 +52,17 @@ class CommBram(Device):
     rollout for its next step."""
 
     @abstractmethod
-    def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
-        """Return the transport to the hardware, and the memory map that it has to have."""
+    def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap | None]:
+        """Return the transport to the hardware, and the memory map that it has to have.
+
+        ``None`` stands for the map of the sizes and the engine that the hardware states.
+        """
 
     def _open(self, config: BatchConfig) -> None:
         transport, layout = self._connect(config)
         try:
+            layout = layout or stated_map(transport.read, config.spec, config.n_envs)
+            transport.recoverable = True
             self._protocol = Protocol(self.name, config.spec, transport, layout)
             self._protocol.synchronise(self.patience)
         except BaseException:

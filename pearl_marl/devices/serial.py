@@ -27,12 +27,10 @@ import numpy as np
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.checks import checked_count_or_none
 from pearl_marl.devices.comm_bram import CommBram
-from pearl_marl.devices.identity import stated_map
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.transport import Exchange, Transport, word
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware.codec import Stream
-from pearl_marl.memory_map import MemoryMap
 
 MAX_WORDS = 2**16 - 1
 """A request can have no more."""
@@ -187,10 +185,5 @@ class Serial(CommBram):
         self.checkpoint_every = checked_count_or_none("checkpoint_every", checkpoint_every)
         self._port, self._timeout = port, timeout
 
-    def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
-        transport = SerialTransport(self._port, self._timeout)
-        try:
-            return transport, stated_map(transport.read, config.spec, config.n_envs)
-        except BaseException:
-            transport.close()
-            raise
+    def _connect(self, config: BatchConfig) -> tuple[Transport, None]:
+        return SerialTransport(self._port, self._timeout), None

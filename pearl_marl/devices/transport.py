@@ -66,6 +66,9 @@ class Transport(ABC):
     timed = False
     """Whether to do a step in its stages, so that :attr:`times` are those of the last one."""
 
+    recoverable = False
+    """Whether a device is open on it, so that ``recover()`` is the way on after a failure."""
+
     times: tuple[float, float, float, float]
     """Begin and end of the write, then of the read that had the results, by ``time.perf_counter``."""
 

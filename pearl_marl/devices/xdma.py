@@ -15,12 +15,10 @@ import numpy as np
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.checks import checked_choice, checked_count_or_none, checked_number
 from pearl_marl.devices.comm_bram import CommBram
-from pearl_marl.devices.identity import stated_map
 from pearl_marl.devices.recovery import CHECKPOINT_EVERY, CheckpointLog
 from pearl_marl.devices.transport import Transport
 from pearl_marl.devices.xdma_transport import COMPLETIONS, XdmaTransport
 from pearl_marl.errors import ArgumentError
-from pearl_marl.memory_map import MemoryMap
 
 
 class Xdma(CommBram):
@@ -63,12 +61,5 @@ class Xdma(CommBram):
         self._completion = checked_choice("completion", completion, (*COMPLETIONS, None))
         self.patience = checked_number("timeout", timeout, above=0, below=1e6)
 
-    def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
-        transport = self.transport_type(self.board, self._completion, self.patience)
-        try:
-            layout = stated_map(transport.read, config.spec, config.n_envs)
-        except BaseException:
-            transport.close()
-            raise
-        transport.recoverable = True
-        return transport, layout
+    def _connect(self, config: BatchConfig) -> tuple[Transport, None]:
+        return self.transport_type(self.board, self._completion, self.patience), None

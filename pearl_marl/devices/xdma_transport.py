@@ -72,9 +72,6 @@ for _function in (_libc.pread, _libc.pwrite):
 class XdmaTransport(Transport):
     """Moves bytes through the character devices of the XDMA driver; for its arguments see :class:`Xdma`."""
 
-    recoverable = False
-    """Whether a device is open on it, so that ``recover()`` is the way on after a failure."""
-
     _h2c = _c2h = _events = -1
 
     def __init__(self, board: int | str, completion: str | None, timeout: float) -> None:

@@ -18,7 +18,7 @@ from pearl_marl.devices import BatchConfig, Xdma
 from pearl_marl.devices.served import ServedBoard
 from pearl_marl.devices.transport import Exchange, Transport
 from pearl_marl.devices.xdma_transport import XdmaTransport
-from pearl_marl.memory_map import Engine, MemoryMap, Status, StatusError
+from pearl_marl.memory_map import Engine, Status, StatusError
 
 IN_MEMORY = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
 
@@ -60,7 +60,7 @@ class OwnBoard(Xdma):
         self._server = contextlib.ExitStack()
         self._server.enter_context(served(self.board, spec, n, *self._sizes, engine=self.engine))
 
-    def _connect(self, config: BatchConfig) -> tuple[Transport, MemoryMap]:
+    def _connect(self, config: BatchConfig) -> tuple[Transport, None]:
         self._folder = tempfile.TemporaryDirectory(prefix="pearl-test-", dir=IN_MEMORY)
         self.board = self._folder.name
         self._batch = config.spec, config.n_envs
