@@ -194,6 +194,7 @@ def _engine_constants(spec: EnvSpec, engine: Engine | None, target: Target) -> d
     height, width, planes = spec.observation_shape if pictures else (3, 3, 1)
     offsets = [word_bits(fields[:k]) for k in range(len(fields))]
     return {
+        **shape._asdict(),
         "engine": "NoEngine" if engine is None else f"{engine.kind.title()}Engine",
         "agent_obs_bits": word_bits(spec.agent_fields),
         "elements": len(fields),
@@ -207,20 +208,10 @@ def _engine_constants(spec: EnvSpec, engine: Engine | None, target: Target) -> d
         "reward_tabled": int(bool(spec.rewards)),
         "reward_signed": int(spec.reward.signed),
         "drawn": int(shape.drawn),
-        "logit_bits": shape.logit_bits,
-        "table_rows": shape.table_rows,
-        "products": shape.products,
-        "side": shape.side,
-        "rounds": shape.rounds,
-        "hidden": shape.hidden,
-        "layers": shape.layers,
-        "weight_bits": shape.weight_bits,
-        "value_bits": shape.value_bits,
         "inputs": shape.inputs(spec),
         "height": height,
         "width": width,
         "planes": planes,
-        "filters": shape.filters,
         "show_latency": show_core(spec, target).latency if pictures else 1,
         "weight_words": shape.weight_words(spec),
         "act_draws": shape.draws if golden else 0,
