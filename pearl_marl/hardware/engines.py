@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 
@@ -22,15 +20,8 @@ ROUNDS = 4
 """Batches that a layer takes one after the other, so that the pauses between layers matter little."""
 
 
-class Widths(NamedTuple):
-    """The least widths that an engine gets: so another policy of the same shape fits it, too."""
-
-    weight_bits: int = 8
-    value_bits: int = 12
-    logit_bits: int = 8
-
-
-LEAST = Widths()
+WEIGHT_BITS, VALUE_BITS, LOGIT_BITS = 8, 12, 8
+"""The least widths that an engine gets: so another policy of the same shape fits it, too."""
 
 
 def with_engine(build: Build, policy: DevicePolicy | None) -> Build:
@@ -63,7 +54,7 @@ def _engine(policy: DevicePolicy, layout: MemoryMap) -> Engine:
                 "table",
                 drawn,
                 table_rows=1 << max(0, (rows - 1).bit_length()),
-                logit_bits=max(LEAST.logit_bits, -(-_bits(logits) // 4) * 4),
+                logit_bits=max(LOGIT_BITS, -(-_bits(logits) // 4) * 4),
             )
         else:
             engine = _network(policy, drawn, layout)
@@ -91,8 +82,8 @@ def _network(policy: IntegerNetwork, drawn: bool, layout: MemoryMap) -> Engine:
         rounds=rounds,
         hidden=max([1, *(len(layer.bias) for layer in layers[:-1])]),
         layers=len(layers),
-        weight_bits=max([LEAST.weight_bits, *map(_bits, weights)]),
-        value_bits=max(LEAST.value_bits, _bits(np.array(values))),
+        weight_bits=max([WEIGHT_BITS, *map(_bits, weights)]),
+        value_bits=max(VALUE_BITS, _bits(np.array(values))),
         filters=len(inputs.bias) if isinstance(inputs, Patches) else 1,
     )
 
