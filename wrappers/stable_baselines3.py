@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from functools import partial
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Discrete, MultiBinary, MultiDiscrete, Space, Tuple
@@ -92,9 +92,8 @@ class PearlVecEnv(VecEnv):
         self._began = time.time()
         self._episodes = RunningEpisodes(self.num_envs)
 
-    def __copy__(self) -> Self:
-        # As of the environment inside: two that share it would step each other's slots.
-        return deepcopy(self)
+    # As of the environment inside: two that share it would step each other's slots.
+    __copy__ = deepcopy
 
     @uninterrupted
     def reset(self) -> Array:

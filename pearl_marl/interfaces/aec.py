@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from copy import deepcopy
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box, Space
@@ -55,9 +55,8 @@ class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
         self.possible_agents = parallel.possible_agents
         self.agents: list[str] = []
 
-    def __copy__(self) -> Self:
-        # As of the environment inside: two that share it would step each other's agents.
-        return deepcopy(self)
+    # As of the environment inside: two that share it would step each other's agents.
+    __copy__ = deepcopy
 
     @property
     def observation_spaces(self) -> Mapping[str, Space[Any]]:

@@ -6,7 +6,7 @@ import functools
 from abc import ABC, abstractmethod
 from copy import deepcopy
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -68,9 +68,8 @@ class Batch(ABC):
         # Of this array it is known that all agents act: `present` is another one whenever it changes.
         self._all_act: Mask | None = None
 
-    def __copy__(self) -> Self:
-        # Two environments that share a device would step each other's agents.
-        return deepcopy(self)
+    # Two environments that share a device would step each other's agents.
+    __copy__ = deepcopy
 
     @property
     def n_worlds(self) -> int:

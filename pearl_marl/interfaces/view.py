@@ -23,9 +23,8 @@ class BatchView:
     inside: Self | None
     """The same without the outermost wrapper; ``None`` where there is none."""
 
-    def __copy__(self) -> Self:
-        # Two environments that share a device would step each other's agents.
-        return deepcopy(self)
+    # Two environments that share a device would step each other's agents.
+    __copy__ = deepcopy
 
     def __getattr__(self, name: str) -> Any:
         if name not in _MOVED:
