@@ -13,7 +13,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from pearl_marl.base.cache import cache_folder, locked
@@ -66,10 +66,8 @@ def prepare(program: str) -> None:
         subprocess.run([find(program), "--version"], env=environment(), capture_output=True, check=False)
 
 
-def run(
-    command: Sequence[str], *, cwd: Path | None = None, variables: Mapping[str, str] | None = None
-) -> str:
-    """Run a tool to its end in a folder, with ``variables`` on top of :func:`environment`.
+def run(command: Sequence[str], *, cwd: Path | None = None) -> str:
+    """Run a tool to its end in a folder, in its :func:`environment`.
 
     Returns what it printed, both streams in order.
 
@@ -84,7 +82,7 @@ def run(
     done = subprocess.run(
         arguments,
         cwd=cwd,
-        env={**environment(), **(variables or {})},
+        env=environment(),
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
