@@ -15,7 +15,6 @@ from pearl_marl.interfaces.parallel import PearlParallelEnv
 from pearl_marl.interfaces.vector import PearlVectorEnv
 
 from .transform import Transform
-from .transformed import TransformedBatch
 
 Env: TypeAlias = PearlParallelEnv | PearlVectorEnv
 
@@ -40,7 +39,7 @@ def wrap(env: Env, make: Callable[..., Transform], *arguments: Any) -> Any:
     make_host_device(batch.innermost.device)  # a transform is NumPy's work
     transform = make(batch, batch.observation_space, batch.action_space, *arguments)
     _check_roles(batch, transform)
-    return env.around(TransformedBatch(batch, transform))
+    return env.around(transform)
 
 
 def checked(env: Any) -> Env:

@@ -19,7 +19,6 @@ from pearl_marl.interfaces.world import Mask
 
 from .base import Env, with_zeros, wrap
 from .transform import Transform
-from .transformed import TransformedBatch
 
 
 class _FrameSkip(Transform):
@@ -87,8 +86,8 @@ def frame_skip_v0(env: Env, num_frames: int | tuple[int, int]) -> Any:
 def skips_frames(env: Env) -> bool:
     """Return whether an environment has :func:`frame_skip_v0` around it, wherever among its wrappers."""
     batch = env.batch
-    while isinstance(batch, TransformedBatch):
-        if isinstance(batch.transform, _FrameSkip):
+    while isinstance(batch, Transform):
+        if isinstance(batch, _FrameSkip):
             return True
         batch = batch.batch
     return False

@@ -2,30 +2,35 @@
 
 from __future__ import annotations
 
+import io
 import secrets
 import warnings
-from typing import Any
+from functools import partial
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode
 
-from pearl_marl.base.arrays import Array
+from pearl_marl.base.arrays import Array, unpacked_arrays
+from pearl_marl.base.deferral import uninterrupted
 from pearl_marl.batch.actions import ActionRules
 from pearl_marl.batch.results import Recycler
 from pearl_marl.batch.step import BatchStep
-from pearl_marl.errors import OrderError, renamed
+from pearl_marl.errors import OrderError, SavedStateError
 from pearl_marl.golden import rng
-from pearl_marl.interfaces.batch import Batch
+from pearl_marl.interfaces.batch import Batch, DeviceBatch
 from pearl_marl.interfaces.world import Mask
 from pearl_marl.spec.elements import ActionSpace
 
 Rows = npt.NDArray[np.intp]
 
+_FORMAT = b"PEARLWR1"
 
-class Transform:
-    """A change to what goes into and comes out of a batch; by itself it changes nothing.
+
+class Transform(Batch):
+    """A batch around another one, which changes what goes in and comes out; by itself it changes nothing.
 
     A subclass overrides :meth:`actions`, :meth:`rewards`, and of the observations either
     :meth:`observe`, if each depends on nothing but itself, or :meth:`push`, :meth:`begin` and
@@ -35,12 +40,6 @@ class Transform:
     ----------
     batch, n
         What it is put around, and how many agents that has.
-    observation_space, action_space
-        One agent's spaces, with the change; of roles, the widest.
-    world
-        How agents share states, with the change.
-    action_rules
-        Which actions may be taken.
     acting
         Which agents act in the step under way: are present, and in an episode.
     resetting
@@ -54,34 +53,30 @@ class Transform:
     keeps_history = False
     """Whether observations depend on earlier ones: :meth:`push`, :meth:`begin` and :meth:`show` are used."""
 
-    action_rules: ActionRules
-
     def __init__(self, batch: Batch, observation_space: Space[Any], action_space: ActionSpace) -> None:
         self.batch, self.n = batch, batch.batch_size
-        self.observation_space, self.action_space = observation_space, action_space
-        self.world = batch.world.with_spaces(
-            None if observation_space is batch.observation_space else observation_space,
-            None if action_space is batch.action_space else action_space,
-        )
-        inside: Transform | None = getattr(batch, "transform", None)
+        inside = batch if isinstance(batch, Transform) else None
         # What decides about actions that are handed through.
         self._taker = inside if inside is not None and inside.action_space is action_space else None
         spec = batch.innermost.spec
-        self.action_rules = ActionRules(
+        rules = ActionRules(
             action_space,
             self.n,
             # Of another space, its elements have no names.
             [field.name for field in spec.action_fields] if action_space == spec.action_space else [],
             kinds="" if self._taker is None else self._taker.action_rules.kinds,
         )
+        world = batch.world.with_spaces(
+            None if observation_space is batch.observation_space else observation_space,
+            None if action_space is batch.action_space else action_space,
+        )
+        super().__init__(self.n, observation_space, rules, batch.autoreset, batch.slot_autoreset_mode, world)
         self.memory: dict[str, Array] = {}
         self.new = Recycler()
         self.acting, self.resetting = batch.present, np.zeros(self.n, np.bool_)
         self._seed: tuple[int, int] | None = None
         self._tick = 0
         self._depth: int = 0 if inside is None else inside._depth + 1
-
-    live = renamed("live", "present")
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -90,22 +85,101 @@ class Transform:
             setattr(cls, "present", vars(cls)["live"])  # noqa: B010, as mypy takes properties for constants
 
     @property
-    def present(self) -> Mask:
-        """Which agents are present in the environment that this makes: those of the batch.
+    def transform(self) -> Self:
+        """Itself: what ``env.transform`` is of an environment with wrappers."""
+        return self
 
-        Another array whenever that changes; see :class:`pearl_marl.interfaces.batch.Batch`.
-        """
+    @property
+    def innermost(self) -> DeviceBatch:
+        """See :class:`Batch`."""
+        return self.batch.innermost
+
+    @property
+    def present(self) -> Mask:
+        """Which agents are present: those of the batch inside. See :class:`Batch`."""
         return self.batch.present
 
     @property
+    def in_episode(self) -> Mask:
+        """See :class:`Batch`."""
+        return self.batch.in_episode
+
+    @property
     def action_masks(self) -> Array | None:
-        """Which actions may be taken in the next step: as the batch has it."""
+        """Which actions may be taken in the next step: as the batch inside has it."""
         return self.batch.action_masks
 
     @property
     def ready(self) -> bool:
-        """Whether there has been a reset."""
-        return self._seed is not None
+        """Whether a step is possible: after the first reset of this wrapper, and until closed."""
+        return self._seed is not None and self.batch.ready
+
+    @uninterrupted
+    def reset_batch(self, seed: int | None = None, mask: npt.ArrayLike | None = None) -> Array:
+        """See :meth:`Batch.reset_batch`."""
+        obs = self.batch.reset_batch(seed, mask)
+        return self.reset(obs, seed, None if mask is None else np.asarray(mask))
+
+    @uninterrupted
+    def step_rows(self, actions: npt.ArrayLike) -> BatchStep:
+        """See :meth:`Batch.step_rows`."""
+        if not self.batch.ready:
+            self.batch.step_batch(actions)  # says why that is impossible
+        return self.step(actions)
+
+    @uninterrupted
+    def save_state(self) -> bytes:
+        """Return all that the continuation depends on, what transforms remember included."""
+        inner = self.batch.save_state()
+        if not self.ready:
+            raise OrderError("save_state() before reset(): call reset() of the outermost wrapper first")
+        file = io.BytesIO()
+        arrays: dict[str, Any] = {"inner": np.frombuffer(inner, np.uint8), **self.snapshot()}
+        np.savez(file, **arrays)
+        return _FORMAT + type(self).__name__.encode() + b"\0" + file.getvalue()
+
+    @uninterrupted
+    def load_state(self, blob: bytes) -> Array:
+        """Continue from what :meth:`save_state` of a batch in transforms like these returned."""
+        inner, remembered = self._unpacked(blob)
+        obs = self.batch.load_state(inner)
+        self.restore(remembered)
+        return self.restored(obs)
+
+    def _unpacked(self, blob: bytes) -> tuple[bytes, dict[str, Array]]:
+        """Return the saved state of the batch inside, and a snapshot of one like this."""
+        if not isinstance(blob, (bytes, bytearray, memoryview)):
+            raise SavedStateError(f"a saved state is bytes, not {type(blob).__name__}")
+        head, _, body = bytes(blob).partition(b"\0")
+        name = type(self).__name__
+        if head != _FORMAT + name.encode():
+            raise SavedStateError(f"this is no saved state of an environment in a {name} wrapper")
+        mine = self.snapshot()
+
+        def check(name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+            right = (
+                (len(shape) == 1, np.uint8)
+                if name == "inner"
+                else (shape == mine[name].shape, mine[name].dtype)
+            )
+            if right != (True, dtype):
+                raise SavedStateError(
+                    f"the saved state's {name!r} has shape {shape} and dtype {dtype}, which is not that of "
+                    "this wrapper"
+                )
+
+        try:
+            saved = unpacked_arrays(body, {name: partial(check, name) for name in ("inner", *mine)})
+        except SavedStateError:
+            raise
+        except ValueError as error:
+            raise SavedStateError(f"the saved state is damaged: {error}") from None
+        inner = saved.pop("inner").tobytes()
+        if (wrong := self.wrong(saved)) is not None:
+            raise SavedStateError(
+                f"the saved state's {wrong!r} has numbers that no step of this wrapper leaves"
+            )
+        return inner, saved
 
     def reset(self, obs: Array, seed: int | None, mask: Mask | None = None) -> Array:
         """Take up that worlds (all, or those masked) begin an episode with ``obs``; return what to show."""
@@ -137,7 +211,7 @@ class Transform:
 
     def array(self, actions: npt.ArrayLike) -> Array:
         """Return actions as an array; refuse them if it has not the shape and kind of dtype of actions."""
-        if not self.ready:
+        if self._seed is None:
             raise OrderError("step() before reset(): call reset() of the outermost wrapper first")
         try:
             array = np.asarray(actions)
