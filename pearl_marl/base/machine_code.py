@@ -67,6 +67,11 @@ class Entries:
         """Save what has been made, where there is room for it."""
         keep(self._path(key), self._dumps(data))
 
+    def flush(self) -> None:
+        """Remove all entries of the function."""
+        for path in cache_folder("kernels").glob(f"{self._name}-*.code"):
+            path.unlink(missing_ok=True)
+
 
 @functools.cache
 def _format() -> str:
@@ -79,6 +84,7 @@ class MachineCode:
 
     def __init__(self, entries: Entries) -> None:
         self._entries = entries
+        self.flush = entries.flush
 
     @property
     def cache_path(self) -> str:
