@@ -268,8 +268,8 @@ def loop_parts(network: IntegerNetwork) -> dict[str, Any]:
     """
     inputs, head = network.inputs, network.head
     arrays: dict[str, Any] = {
-        **dict.fromkeys(("offset", "multiplier", "input_shift", "shape", "filter_bias"), ()),
-        **dict.fromkeys(("counts", "chances"), ()),
+        **dict.fromkeys(("offset", "multiplier", "input_shift", "shape", "counts", "chances"), ()),
+        "filter_bias": (),
         **dict.fromkeys(("factors", "table", "levels"), np.zeros((0, 0))),
         "indicator": network.indicator,
     }

@@ -85,7 +85,7 @@ class AutogradHalves:
         self,
         rows: Tensor,
         loss: Callable[[Tensor], tuple[Tensor, Tensor]],
-        terms: Callable[[Tensor], int] = len,
+        terms: Callable[[Tensor], int],
     ) -> Tensor:
         """Leave the gradients of the loss of all rows.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -95,9 +96,29 @@ def test_a_single_row_is_not_halved() -> None:
         asked.append(len(rows))
         return sum(parameter.sum() for parameter in trainer.model.parameters()), torch.ones(4)
 
-    trainer.halves.find(torch.zeros(1, dtype=torch.int64), loss)
-    trainer.halves.find(torch.zeros(2, dtype=torch.int64), loss)
+    trainer.halves.find(torch.zeros(1, dtype=torch.int64), loss, len)
+    trainer.halves.find(torch.zeros(2, dtype=torch.int64), loss, len)
     assert asked == [1, 1, 1]
+
+
+def test_two_threads_learn_a_memory_to_the_weights_of_one() -> None:
+    """PyTorch itself has one thread there; the second one is for a half of each minibatch."""
+    weights = []
+    for threads in (1, 2):
+        trainer, names = made("ppo", "CartPole", **MEMORY), set()
+        autograd = trainer.halves._of
+
+        def noted(*given: Any, names: set[str] = names, autograd: Any = autograd) -> Any:
+            names.add(threading.current_thread().name)
+            return autograd(*given)
+
+        trainer.halves._of = noted
+        torch.set_num_threads(threads)
+        trainer.iterate()
+        assert len(names) == threads
+        weights.append(trainer.policy.state_dict())
+    for name, tensor in weights[0].items():
+        assert torch.equal(tensor, weights[1][name]), name
 
 
 def test_threads_are_given_back() -> None:
@@ -109,7 +130,7 @@ def test_threads_are_given_back() -> None:
 
     def fail() -> None:
         with trainer.halves.shared(9, 2):
-            trainer.halves.find(torch.arange(9), failing)
+            trainer.halves.find(torch.arange(9), failing, len)
 
     torch.set_num_threads(2)
     with pytest.raises(ValueError, match="no loss"):
