@@ -304,7 +304,7 @@ class Device(ABC):
             self._note("step_words", words)
         self.tick = (tick + 1) & rng.LAST_TICK
         if self.remembers:
-            self._remember(result.observed)
+            self._remember(result)
         return result
 
     def _step_failed(self) -> None:
@@ -335,9 +335,9 @@ class Device(ABC):
             refuse_masked(words, on_host(self.action_masks), first * spec.agents, agents)
         return words
 
-    def _remember(self, observed: Observed) -> Array:
+    def _remember(self, observed: Observed | BatchStep) -> Array:
         """Keep what the next step goes by; return the observations."""
-        obs, self.action_masks, self.in_episode = observed
+        obs, self.action_masks, self.in_episode = observed.obs, observed.action_masks, observed.in_episode
         if self._copies is not None and isinstance(obs, np.ndarray):
             # To refer to results would keep all the memory that they lie in from being used for the next.
             self.in_episode = self._copies.copy(self.in_episode)
@@ -489,7 +489,7 @@ class Device(ABC):
             raise
         self.tick = (tick + 1) & rng.LAST_TICK
         if self.remembers:
-            self._remember(result.observed)
+            self._remember(result)
         return result
 
     @uninterrupted
