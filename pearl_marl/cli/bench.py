@@ -43,13 +43,10 @@ def command() -> None:
 
 
 Rounds = Annotated[
-    int,
-    typer.Option(
-        "--rounds", min=1, max=MANY, help="How often each contender is timed; the median is reported."
-    ),
+    int, typer.Option(min=1, max=MANY, help="How often each contender is timed; the median is reported.")
 ]
 MOST_SECONDS = 3600
-Seconds = Annotated[float, typer.Option("--seconds", help="About how long one timing lasts.")]
+Seconds = Annotated[float, typer.Option(help="About how long one timing lasts.")]
 AnyEnv = Annotated[
     str | None,
     typer.Argument(metavar="[ENV]", help="An environment of `pearl envs`; by default CliffWalking."),

@@ -16,18 +16,13 @@ from pearl_marl.hardware import boards
 from pearl_marl.hardware.boards import BOARDS, Board, Placed
 
 BoardName = Annotated[str, typer.Argument(metavar="|".join(BOARDS), help="The board.")]
-Slots = Annotated[int, typer.Option("--n-envs", help="Number of slots (worlds) of the design.")]
+Slots = Annotated[int, typer.Option(help="Number of slots (worlds) of the design.")]
 PeNum = Annotated[
     int | None,
-    typer.Option(
-        "--pe-num", help="Number of processing elements; by default as many as the board's bus can feed."
-    ),
+    typer.Option(help="Number of processing elements; by default as many as the board's bus can feed."),
 ]
 Where = Annotated[
-    Path,
-    typer.Option(
-        "--out", metavar="DIR", help="The folder to write everything into.", callback=common.writable
-    ),
+    Path, typer.Option(metavar="DIR", help="The folder to write everything into.", callback=common.writable)
 ]
 
 

@@ -59,23 +59,17 @@ EnvName = Annotated[
 def agents_option(about: int) -> Any:
     """Return the option that says how many agents a command has; about so many by default."""
     return typer.Option(
-        "--n-agents",
-        min=1,
-        help="Number of agents; a multiple of the agents of a world.",
-        show_default=f"about {about:,}",
+        min=1, help="Number of agents; a multiple of the agents of a world.", show_default=f"about {about:,}"
     )
 
 
 Agents = Annotated[int | None, agents_option(ABOUT)]
 DEVICES = ("native", "rtl", "cuda", "reference", "xdma", "serial")
 DeviceName = Annotated[
-    str,
-    typer.Option(
-        "--device", help="The device that steps the agents.", autocompletion=completed(lambda: DEVICES)
-    ),
+    str, typer.Option(help="The device that steps the agents.", autocompletion=completed(lambda: DEVICES))
 ]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random numbers.")]
-Steps = Annotated[int, typer.Option("--steps", min=1, max=MANY, help="Number of steps of every agent.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")]
+Steps = Annotated[int, typer.Option(min=1, max=MANY, help="Number of steps of every agent.")]
 
 
 def check_folder(option: str, folder: Path) -> None:
@@ -110,21 +104,18 @@ def writable(parameter: typer.CallbackParam, folder: Path | None) -> Path | None
     return folder
 
 
-Out = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Where to write results.", callback=writable)
-]
+Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Where to write results.", callback=writable)]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 AsMarkdown = Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")]
 Options = Annotated[
     list[str] | None,
-    typer.Option("--option", metavar="NAME=VALUE", help="An argument of the environment; may be repeated."),
+    typer.Option(metavar="NAME=VALUE", help="An argument of the environment; may be repeated."),
 ]
 
 
 def device_policy_option(use: str) -> Any:
     """Return the option that names a policy which :func:`device_policy` reads, and what for."""
     return typer.Option(
-        "--policy",
         metavar="FILE|FILE.py:NAME",
         help=f"{use} A file of `pearl quantize`, or the name of a GoldenPolicy in a file.",
     )

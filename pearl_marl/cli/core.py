@@ -14,19 +14,14 @@ from pearl_marl.compiler.cores import Core, generated_core
 from pearl_marl.compiler.targets import FAMILIES, Target
 from pearl_marl.errors import ArgumentError
 
-Clock = Annotated[
-    float, typer.Option("--clock", metavar="MHZ", help="The clock rate that the pipeline is built for.")
-]
-FamilyName = Annotated[str, typer.Option("--family", metavar="|".join(FAMILIES), help="The FPGA family.")]
+Clock = Annotated[float, typer.Option(metavar="MHZ", help="The clock rate that the pipeline is built for.")]
+FamilyName = Annotated[str, typer.Option(metavar="|".join(FAMILIES), help="The FPGA family.")]
 Into = Annotated[
     Path | None,
-    typer.Option(
-        "--out", metavar="FILE.sv", help="The file to write the core to; without it, the core is printed."
-    ),
+    typer.Option(metavar="FILE.sv", help="The file to write the core to; without it, the core is printed."),
 ]
 Picture = Annotated[
-    Path | None,
-    typer.Option("--graph", metavar="FILE.svg", help="Draw the operations, stage by stage, into this file."),
+    Path | None, typer.Option(metavar="FILE.svg", help="Draw the operations, stage by stage, into this file.")
 ]
 
 

@@ -29,20 +29,17 @@ from pearl_marl.policies.loading import load_policy
 PolicyName = Annotated[
     str,
     typer.Option(
-        "--policy",
         help="`random`, a table of action values (FILE.npy, FILE.npz), a model of Stable-Baselines3 "
         "(FILE.zip), a folder of `pearl train`, a file of `pearl quantize`, or a function of observations "
-        "(MODULE:FUNCTION, FILE.py:FUNCTION).",
+        "(MODULE:FUNCTION, FILE.py:FUNCTION)."
     ),
 ]
 # What `pearl match` does was an option here; these work for one version more.
-Against = Annotated[list[str] | None, typer.Option("--against", hidden=True)]
-Openings = Annotated[int | None, typer.Option("--openings", min=0, hidden=True)]
+Against = Annotated[list[str] | None, typer.Option(hidden=True)]
+Openings = Annotated[int | None, typer.Option(min=0, hidden=True)]
 Episodes = Annotated[
     int | None,
-    typer.Option(
-        "--episodes", min=1, max=MANY, help="Number of episodes that count.", show_default="one an agent"
-    ),
+    typer.Option(min=1, max=MANY, help="Number of episodes that count.", show_default="one an agent"),
 ]
 
 

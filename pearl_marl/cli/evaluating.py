@@ -19,7 +19,6 @@ from pearl_marl.spec import MAX_CYCLES, EnvSpec
 MaxCycles = Annotated[
     int | None,
     typer.Option(
-        "--max-cycles",
         min=0,
         max=MAX_CYCLES,
         help="Time limit of an episode, 0 for none.",

@@ -33,7 +33,6 @@ PolicyNames = Annotated[
 Openings = Annotated[
     int | None,
     typer.Option(
-        "--openings",
         min=0,
         help="The number of random steps at the start of every episode.",
         show_default=f"{OPENINGS} in games of turns",

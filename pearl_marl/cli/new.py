@@ -33,7 +33,7 @@ LONGEST = 64
 NewName = Annotated[
     str, typer.Argument(metavar="NAME", help="The new environment's name, for example FrozenLake.")
 ]
-SharedBy = Annotated[int, typer.Option("--agents", help="Number of agents that share a world.")]
+SharedBy = Annotated[int, typer.Option(help="Number of agents that share a world.")]
 From = Annotated[
     str | None,
     typer.Option(
@@ -45,17 +45,13 @@ From = Annotated[
     ),
 ]
 OptionsOfOriginal = Annotated[
-    list[str] | None,
-    typer.Option("--option", metavar="NAME=VALUE", help="An argument of the original; may be repeated."),
+    list[str] | None, typer.Option(metavar="NAME=VALUE", help="An argument of the original; may be repeated.")
 ]
 Rules = Annotated[
     bool, typer.Option("--rules", help="Write a package to fill in even where the original is finite.")
 ]
 Where = Annotated[
-    Path,
-    typer.Option(
-        "--out", metavar="DIR", help="The folder to write the package into.", callback=common.writable
-    ),
+    Path, typer.Option(metavar="DIR", help="The folder to write the package into.", callback=common.writable)
 ]
 
 

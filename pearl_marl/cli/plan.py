@@ -25,11 +25,10 @@ from pearl_marl.latency.rollout_planning import plan_rollouts
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.spec import EnvSpec
 
-Slots = Annotated[int, typer.Option("--n-envs", min=1, help="Number of slots (worlds) of the design.")]
+Slots = Annotated[int, typer.Option(min=1, help="Number of slots (worlds) of the design.")]
 LinkName = Annotated[
     str,
     typer.Option(
-        "--link",
         metavar=f"{'|'.join(LINKS)}|CALL,WRITE,READ",
         help="The link between host and hardware; or your own: microseconds per call, GB/s to the "
         "hardware, GB/s from it.",
@@ -40,16 +39,13 @@ ANY = "any"
 PartName = Annotated[
     str,
     typer.Option(
-        "--part",
         metavar=f"{'|'.join(PARTS)}|{ANY}",
         help=f"The part that memories and multipliers have to fit; `{ANY}` is without limits.",
     ),
 ]
-Clock = Annotated[float, typer.Option("--clock", metavar="MHZ", help="The hardware's clock rate.")]
-OnePeNum = Annotated[
-    int | None, typer.Option("--pe-num", help="Consider only this number of processing elements.")
-]
-OneDataWl = Annotated[int | None, typer.Option("--data-wl", help="Consider only words of this many bits.")]
+Clock = Annotated[float, typer.Option(metavar="MHZ", help="The hardware's clock rate.")]
+OnePeNum = Annotated[int | None, typer.Option(help="Consider only this number of processing elements.")]
+OneDataWl = Annotated[int | None, typer.Option(help="Consider only words of this many bits.")]
 PolicyName = Annotated[
     str | None,
     common.device_policy_option("Plan for rollouts of this policy, which move nothing over the link."),

@@ -17,7 +17,6 @@ Run = Annotated[
 Into = Annotated[
     Path | None,
     typer.Option(
-        "--out",
         metavar="FILE.safetensors",
         help="The file to write.",
         show_default="integers.safetensors in the run folder",
@@ -25,10 +24,8 @@ Into = Annotated[
 ]
 AGENTS, BITS = 1000, 8
 Agents = Annotated[int | None, common.agents_option(AGENTS)]
-WeightBits = Annotated[int, typer.Option("--weight-bits", min=4, max=16, help="Width of weights.")]
-ActivationBits = Annotated[
-    int, typer.Option("--activation-bits", min=4, max=16, help="Width of what goes from layer to layer.")
-]
+WeightBits = Annotated[int, typer.Option(min=4, max=16, help="Width of weights.")]
+ActivationBits = Annotated[int, typer.Option(min=4, max=16, help="Width of what goes from layer to layer.")]
 
 
 def command(

@@ -19,15 +19,13 @@ Quick = Annotated[
 Folder = Annotated[
     Path,
     typer.Option(
-        "--out",
         metavar="DIR",
         help="The report's folder; if it holds an unfinished report, the command continues it.",
         callback=writable,
     ),
 ]
 Only = Annotated[
-    list[str] | None,
-    typer.Option("--only", metavar="SECTION", help="Make only this section; may be repeated."),
+    list[str] | None, typer.Option(metavar="SECTION", help="Make only this section; may be repeated.")
 ]
 
 

@@ -31,7 +31,6 @@ from pearl_marl.spec import MAX_CYCLES, EnvSpec
 ActionFile = Annotated[
     Path | None,
     typer.Option(
-        "--actions",
         metavar="FILE",
         help="A .npy file of actions, of shape (steps, n_agents), or (steps, n_agents, n) if an action is an "
         "array of shape (n,), as in Pendulum, where n is 1; without it, actions are random.",
@@ -40,7 +39,6 @@ ActionFile = Annotated[
 VideoFile = Annotated[
     Path | None,
     typer.Option(
-        "--video",
         metavar="FILE.gif",
         help=f"Write a film of the first {VIDEO_WORLDS} worlds in the first {VIDEO_STEPS} steps.",
     ),
@@ -48,14 +46,12 @@ VideoFile = Annotated[
 PolicyName = Annotated[
     str | None,
     typer.Option(
-        "--policy",
         help="A policy that acts, instead of random actions: what `pearl eval --policy` takes. One in "
-        "integers, or a GoldenPolicy, acts in a rollout.",
+        "integers, or a GoldenPolicy, acts in a rollout."
     ),
 ]
 MaxCycles = Annotated[
-    int | None,
-    typer.Option("--max-cycles", min=0, max=MAX_CYCLES, help="Time limit of an episode, 0 for none."),
+    int | None, typer.Option(min=0, max=MAX_CYCLES, help="Time limit of an episode, 0 for none.")
 ]
 
 

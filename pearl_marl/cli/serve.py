@@ -32,17 +32,12 @@ from pearl_marl.devices.served import ServedBoard
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.engines import with_engine
 
-PeNum = Annotated[
-    int | None, typer.Option("--pe-num", help="Number of processing elements.", show_default="chosen")
-]
-DataWl = Annotated[int | None, typer.Option("--data-wl", help="Bits of a word.", show_default="chosen")]
+PeNum = Annotated[int | None, typer.Option(help="Number of processing elements.", show_default="chosen")]
+DataWl = Annotated[int | None, typer.Option(help="Bits of a word.", show_default="chosen")]
 PathName = Annotated[
-    str, typer.Option("--path", help="How a step's bytes reach the memories: `backdoor`, or over `axi`.")
+    str, typer.Option(help="How a step's bytes reach the memories: `backdoor`, or over `axi`.")
 ]
-At = Annotated[
-    Path,
-    typer.Option("--at", metavar="DIR", help="The folder of the board's files.", callback=writable),
-]
+At = Annotated[Path, typer.Option(metavar="DIR", help="The folder of the board's files.", callback=writable)]
 
 
 def command(

@@ -24,7 +24,6 @@ from pearl_marl.spec import EnvSpec
 Sizes = Annotated[
     list[str],
     typer.Option(
-        "--n-envs",
         metavar="N[,N...]",
         help="Number of slots (worlds) of the design; several give a table of how it grows.",
     ),
@@ -32,16 +31,13 @@ Sizes = Annotated[
 SomeEnv = Annotated[str | None, typer.Argument(metavar="[ENV]", help="An environment of `pearl envs`.")]
 Every = Annotated[bool, typer.Option("--all", help="Synthesise every environment, at the first size.")]
 PeNum = Annotated[
-    int | None,
-    typer.Option("--pe-num", help="Number of processing elements; by default as many as the words can feed."),
+    int | None, typer.Option(help="Number of processing elements; by default as many as the words can feed.")
 ]
 DataWl = Annotated[
     int | None,
-    typer.Option(
-        "--data-wl", help="Bits of a word; by default wide enough to carry one group of slots per cycle."
-    ),
+    typer.Option(help="Bits of a word; by default wide enough to carry one group of slots per cycle."),
 ]
-PartFamily = Annotated[Family, typer.Option("--part", help="The family of FPGA to synthesise for.")]
+PartFamily = Annotated[Family, typer.Option(help="The family of FPGA to synthesise for.")]
 Fmax = Annotated[
     bool,
     typer.Option(
@@ -51,9 +47,7 @@ Fmax = Annotated[
 ]
 FitPart = Annotated[
     str | None,
-    typer.Option(
-        "--fit", metavar="|".join(PARTS), help="Find the largest --n-envs whose memories fit this part."
-    ),
+    typer.Option(metavar="|".join(PARTS), help="Find the largest --n-envs whose memories fit this part."),
 ]
 Confirm = Annotated[
     bool,

@@ -25,7 +25,6 @@ REMEMBERING = ("ppo", "ippo", "mappo", "pqn", "vdn", "qmix", "self-play")
 Algorithm = Annotated[
     str | None,
     typer.Option(
-        "--algo",
         help="`ppo`, `pqn`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `vdn`, `qmix`, "
         "`self-play`.",
         autocompletion=common.completed(lambda: ALGORITHMS),
@@ -33,16 +32,12 @@ Algorithm = Annotated[
     ),
 ]
 Agents = Annotated[
-    int | None,
-    typer.Option("--n-agents", help="Number of agents that gather experience.", show_default="preset"),
+    int | None, typer.Option(help="Number of agents that gather experience.", show_default="preset")
 ]
-Iterations = Annotated[
-    int | None, typer.Option("--iterations", help="Number of updates.", show_default="preset")
-]
+Iterations = Annotated[int | None, typer.Option(help="Number of updates.", show_default="preset")]
 Memory = Annotated[
     str | None,
     typer.Option(
-        "--memory",
         help="Memory of the policy: `none` or `gru`; not with `dqn`, `iql` and `q-learning`.",
         show_default="none",
     ),
@@ -57,27 +52,21 @@ Given = Annotated[
     ),
 ]
 Goal = Annotated[
-    float | None,
-    typer.Option("--goal", help="End when an evaluation reaches this mean return of an agent."),
+    float | None, typer.Option(help="End when an evaluation reaches this mean return of an agent.")
 ]
 Every = Annotated[
-    int | None,
-    typer.Option("--evaluate-every", help="Iterations between evaluations.", show_default="50 evaluations"),
+    int | None, typer.Option(help="Iterations between evaluations.", show_default="50 evaluations")
 ]
 Shards = Annotated[
     int | None,
     typer.Option(
-        "--shards",
-        help="Number of Ray processes that step agents; `ppo` and `pqn`.",
-        show_default="this process",
+        help="Number of Ray processes that step agents; `ppo` and `pqn`.", show_default="this process"
     ),
 ]
 Seeds = Annotated[
     int | None,
     typer.Option(
-        "--seeds",
-        help="Train so many seeds at once, from --seed on, each in a folder of its own.",
-        show_default="one",
+        help="Train so many seeds at once, from --seed on, each in a folder of its own.", show_default="one"
     ),
 ]
 Films = Annotated[
@@ -87,7 +76,6 @@ Films = Annotated[
 Track = Annotated[
     str | None,
     typer.Option(
-        "--track",
         metavar="SERVICE",
         help="Send the metrics to `wandb` (Weights & Biases) or `mlflow`, too, which has to be installed.",
         show_default="only files",
@@ -102,7 +90,6 @@ Quantize = Annotated[
 Folder = Annotated[
     Path | None,
     typer.Option(
-        "--out",
         metavar="DIR",
         help="The run's folder; if it holds an unfinished run, the command continues it.",
         callback=common.writable,

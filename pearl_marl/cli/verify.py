@@ -46,19 +46,15 @@ Subject = Annotated[
 EnvOfFile = Annotated[
     str | None,
     typer.Option(
-        "--env",
-        metavar="PACKAGE:ENV",
-        help="The environment of a replay file, where it is of a package of yours.",
+        metavar="PACKAGE:ENV", help="The environment of a replay file, where it is of a package of yours."
     ),
 ]
 DeviceToCheck = Annotated[
-    str | None,
-    typer.Option("--device", help="The device to check.", show_default="native, or the file's"),
+    str | None, typer.Option(help="The device to check.", show_default="native, or the file's")
 ]
 ReferenceName = Annotated[
     str | None,
     typer.Option(
-        "--reference",
         help="What it must agree with: `reference` (the golden functions) or another device.",
         show_default="reference, or the file's",
     ),
@@ -66,40 +62,27 @@ ReferenceName = Annotated[
 Against = Annotated[
     str | None,
     typer.Option(
-        "--against",
         metavar="PACKAGE:CLASS|ID",
         help="Compare the golden functions with the environment that they follow, not a device with them.",
     ),
 ]
 OptionOfOriginal = Annotated[
     list[str] | None,
-    typer.Option(
-        "--original-option",
-        metavar="NAME=VALUE",
-        help="An argument of the original of --against; may be repeated.",
-    ),
+    typer.Option(metavar="NAME=VALUE", help="An argument of the original of --against; may be repeated."),
 ]
 ABOUT = 1024
 """How many agents are compared by default: the reference steps them one by one, in Python."""
 Agents = Annotated[int | None, common.agents_option(ABOUT)]
 STEPS = 300
 StepsOfAll = Annotated[
-    int,
-    typer.Option("--steps", min=1, max=MANY, help="Number of steps of every agent, divided among the modes."),
+    int, typer.Option(min=1, max=MANY, help="Number of steps of every agent, divided among the modes.")
 ]
 MaxCycles = Annotated[
     int | None,
-    typer.Option(
-        "--max-cycles",
-        min=0,
-        max=MAX_CYCLES,
-        help="Time limit of an episode, 0 for none.",
-        show_default="both",
-    ),
+    typer.Option(min=0, max=MAX_CYCLES, help="Time limit of an episode, 0 for none.", show_default="both"),
 ]
 Mode = Annotated[
-    Autoreset | None,
-    typer.Option("--autoreset-mode", help="When a world that ended starts again.", show_default="both"),
+    Autoreset | None, typer.Option(help="When a world that ended starts again.", show_default="both")
 ]
 RolledOut = Annotated[
     str | None,
@@ -107,10 +90,7 @@ RolledOut = Annotated[
         "Do rollouts of this policy, not steps with random actions; the device `rtl` gets an engine for it."
     ),
 ]
-InitialStates = Annotated[
-    Starts | None,
-    typer.Option("--initial-states", help="Where episodes begin.", show_default="both"),
-]
+InitialStates = Annotated[Starts | None, typer.Option(help="Where episodes begin.", show_default="both")]
 
 
 def command(
