@@ -21,9 +21,7 @@ PeNum = Annotated[
     int | None,
     typer.Option(help="Number of processing elements; by default as many as the board's bus can feed."),
 ]
-Where = Annotated[
-    Path, typer.Option(metavar="DIR", help="The folder to write everything into.", callback=common.writable)
-]
+Where = Annotated[Path, common.folder_option("The folder to write everything into.")]
 
 
 def command(

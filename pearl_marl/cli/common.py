@@ -63,6 +63,15 @@ def agents_option(about: int) -> Any:
     )
 
 
+def max_cycles_option(show_default: bool | str = True) -> Any:
+    """Return the option that limits episodes, with what it says of its default."""
+    from pearl_marl.spec import MAX_CYCLES
+
+    return typer.Option(
+        min=0, max=MAX_CYCLES, help="Time limit of an episode, 0 for none.", show_default=show_default
+    )
+
+
 Agents = Annotated[int | None, agents_option(ABOUT)]
 DEVICES = ("native", "rtl", "cuda", "reference", "xdma", "serial")
 DeviceName = Annotated[
@@ -97,14 +106,18 @@ def check_results(out: Path | None, *names: str) -> None:
         check_files(out, *names)
 
 
-def writable(parameter: typer.CallbackParam, folder: Path | None) -> Path | None:
-    """Do so for the value of an option."""
+def _writable(parameter: typer.CallbackParam, folder: Path | None) -> Path | None:
     if folder is not None:
         check_folder(parameter.opts[0], folder)
     return folder
 
 
-Out = Annotated[Path | None, typer.Option(metavar="DIR", help="Where to write results.", callback=writable)]
+def folder_option(use: str, show_default: bool | str = True) -> Any:
+    """Return an option that names a folder to write into, which is refused if that cannot be."""
+    return typer.Option(metavar="DIR", help=use, callback=_writable, show_default=show_default)
+
+
+Out = Annotated[Path | None, folder_option("Where to write results.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 AsMarkdown = Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")]
 Options = Annotated[

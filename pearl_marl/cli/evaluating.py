@@ -10,21 +10,14 @@ from typing import Annotated, NoReturn
 import typer
 from rich.markup import escape
 
+from pearl_marl.cli import common
 from pearl_marl.cli.common import error_console, in_file_name, replaying
 from pearl_marl.devices import Device, Lockstep
 from pearl_marl.errors import ArgumentError, LockstepError
 from pearl_marl.evaluation.run import LIMIT
-from pearl_marl.spec import MAX_CYCLES, EnvSpec
+from pearl_marl.spec import EnvSpec
 
-MaxCycles = Annotated[
-    int | None,
-    typer.Option(
-        min=0,
-        max=MAX_CYCLES,
-        help="Time limit of an episode, 0 for none.",
-        show_default=f"the environment's, or {LIMIT:,}",
-    ),
-]
+MaxCycles = Annotated[int | None, common.max_cycles_option(f"the environment's, or {LIMIT:,}")]
 InLockstep = Annotated[
     bool, typer.Option("--lockstep", help="Compare every word of every step with the golden functions.")
 ]

@@ -50,9 +50,7 @@ OptionsOfOriginal = Annotated[
 Rules = Annotated[
     bool, typer.Option("--rules", help="Write a package to fill in even where the original is finite.")
 ]
-Where = Annotated[
-    Path, typer.Option(metavar="DIR", help="The folder to write the package into.", callback=common.writable)
-]
+Where = Annotated[Path, common.folder_option("The folder to write the package into.")]
 
 
 def command(

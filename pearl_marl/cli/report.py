@@ -11,18 +11,14 @@ import typer
 from rich.markup import escape
 
 from pearl_marl.cli import common
-from pearl_marl.cli.common import AsJson, console, error_console, print_json, progress, table, writable
+from pearl_marl.cli.common import AsJson, console, error_console, print_json, progress, table
 
 Quick = Annotated[
     bool, typer.Option("--quick", help="Measure a small part of everything, in a minute or two.")
 ]
 Folder = Annotated[
     Path,
-    typer.Option(
-        metavar="DIR",
-        help="The report's folder; if it holds an unfinished report, the command continues it.",
-        callback=writable,
-    ),
+    common.folder_option("The report's folder; if it holds an unfinished report, the command continues it."),
 ]
 Only = Annotated[
     list[str] | None, typer.Option(metavar="SECTION", help="Make only this section; may be repeated.")

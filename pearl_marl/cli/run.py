@@ -26,7 +26,7 @@ from pearl_marl.interfaces.parallel import PearlParallelEnv, parallel_env
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.policies.loading import Policy, forget, load_policy, random_policy
 from pearl_marl.rendering import VIDEO_STEPS, VIDEO_WORLDS, HeatMap, Video
-from pearl_marl.spec import MAX_CYCLES, EnvSpec
+from pearl_marl.spec import EnvSpec
 
 ActionFile = Annotated[
     Path | None,
@@ -50,9 +50,7 @@ PolicyName = Annotated[
         "integers, or a GoldenPolicy, acts in a rollout."
     ),
 ]
-MaxCycles = Annotated[
-    int | None, typer.Option(min=0, max=MAX_CYCLES, help="Time limit of an episode, 0 for none.")
-]
+MaxCycles = Annotated[int | None, common.max_cycles_option()]
 
 
 def command(

@@ -12,20 +12,8 @@ from rich.markup import escape
 
 from pearl_marl.batch.config import worlds_of
 from pearl_marl.batch.results import check_memory
-from pearl_marl.cli.common import (
-    Agents,
-    AsJson,
-    EnginePolicy,
-    EnvName,
-    Options,
-    agents_of,
-    console,
-    counted,
-    device_policy,
-    print_json,
-    spec_of,
-    writable,
-)
+from pearl_marl.cli import common
+from pearl_marl.cli.common import console
 from pearl_marl.devices import BatchConfig
 from pearl_marl.devices.rtl import Rtl
 from pearl_marl.devices.served import ServedBoard
@@ -37,19 +25,19 @@ DataWl = Annotated[int | None, typer.Option(help="Bits of a word.", show_default
 PathName = Annotated[
     str, typer.Option(help="How a step's bytes reach the memories: `backdoor`, or over `axi`.")
 ]
-At = Annotated[Path, typer.Option(metavar="DIR", help="The folder of the board's files.", callback=writable)]
+At = Annotated[Path, common.folder_option("The folder of the board's files.")]
 
 
 def command(
-    env_id: EnvName,
+    env_id: common.EnvName,
     at: At,
-    n_agents: Agents = None,
+    n_agents: common.Agents = None,
     pe_num: PeNum = None,
     data_wl: DataWl = None,
     path: PathName = "backdoor",
-    policy: EnginePolicy = None,
-    option: Options = None,
-    as_json: AsJson = False,
+    policy: common.EnginePolicy = None,
+    option: common.Options = None,
+    as_json: common.AsJson = False,
 ) -> None:
     """Serve a simulated board, to be used with --device xdma:DIR, until Ctrl-C.
 
@@ -57,10 +45,10 @@ def command(
     in memory, such as /dev/shm/board, is fastest.
     """
     Rtl(pe_num, data_wl, path)  # refuses what is no size or path
-    spec = spec_of(env_id, option)
-    config = BatchConfig(spec=spec, n_envs=worlds_of(spec, agents_of(spec, n_agents)))
+    spec = common.spec_of(env_id, option)
+    config = BatchConfig(spec=spec, n_envs=worlds_of(spec, common.agents_of(spec, n_agents)))
     check_memory(config)
-    build = with_engine(Build.of(spec, config.n_envs, pe_num, data_wl), device_policy(policy, spec))
+    build = with_engine(Build.of(spec, config.n_envs, pe_num, data_wl), common.device_policy(policy, spec))
     board = ServedBoard(at, spec, config.n_envs, pe_num, data_wl, path, build.layout.engine)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: board.stop())
@@ -77,11 +65,11 @@ def command(
     }
     try:
         if as_json:
-            print_json(facts)
+            common.print_json(facts)
         else:
             console.print(
-                f"Serving {board.spec.id}, {counted(config.n_agents, 'agent')} on "
-                f"{counted(layout.pe_num, 'processing element')}, "
+                f"Serving {board.spec.id}, {common.counted(config.n_agents, 'agent')} on "
+                f"{common.counted(layout.pe_num, 'processing element')}, "
                 f"words of {layout.data_wl} bits. Use it as [bold]--device xdma:{escape(str(at))}[/]; "
                 "Ctrl-C ends it.",
                 soft_wrap=True,

@@ -89,11 +89,8 @@ Quantize = Annotated[
 ]
 Folder = Annotated[
     Path | None,
-    typer.Option(
-        metavar="DIR",
-        help="The run's folder; if it holds an unfinished run, the command continues it.",
-        callback=common.writable,
-        show_default="out/ENV-ALGORITHM",
+    common.folder_option(
+        "The run's folder; if it holds an unfinished run, the command continues it.", "out/ENV-ALGORITHM"
     ),
 ]
 

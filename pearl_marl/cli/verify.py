@@ -22,7 +22,7 @@ from pearl_marl.errors import ArgumentError, DeviceError, LockstepError
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.engines import with_engine
 from pearl_marl.policies.device_policy import DevicePolicy
-from pearl_marl.spec import MAX_CYCLES, EnvSpec
+from pearl_marl.spec import EnvSpec
 from pearl_marl.verification import Run, replay, runs, verify
 
 
@@ -77,10 +77,7 @@ STEPS = 300
 StepsOfAll = Annotated[
     int, typer.Option(min=1, max=MANY, help="Number of steps of every agent, divided among the modes.")
 ]
-MaxCycles = Annotated[
-    int | None,
-    typer.Option(min=0, max=MAX_CYCLES, help="Time limit of an episode, 0 for none.", show_default="both"),
-]
+MaxCycles = Annotated[int | None, common.max_cycles_option("both")]
 Mode = Annotated[
     Autoreset | None, typer.Option(help="When a world that ended starts again.", show_default="both")
 ]
