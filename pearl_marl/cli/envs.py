@@ -11,9 +11,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from pearl_marl.benchmark.paper import TABLE_2
-from pearl_marl.cli.common import AsJson, console, print_json
+from pearl_marl.benchmark.tables import MeasuredTable
+from pearl_marl.cli.common import AsJson, check_forms, console, print_json
 from pearl_marl.envs import get_spec, names
-from pearl_marl.errors import ArgumentError
 from pearl_marl.spec import EnvSpec, snake_case, word_bits
 
 AsMarkdown = Annotated[
@@ -23,8 +23,7 @@ AsMarkdown = Annotated[
 
 def command(as_json: AsJson = False, as_markdown: AsMarkdown = False) -> None:
     """List the environments: spaces, widths, rewards, limits."""
-    if as_json and as_markdown:
-        raise ArgumentError("--json and --markdown are two forms of the same: leave one out")
+    check_forms(as_json, as_markdown)
     if as_markdown:
         typer.echo(markdown([get_spec(name) for name in names()]), nl=False)
         return
@@ -39,12 +38,12 @@ def command(as_json: AsJson = False, as_markdown: AsMarkdown = False) -> None:
     table.add_column("rewards and limit")
     for row in rows:
         arguments = ", ".join(f"{name}={value}" for name, value in row["options"].items())
-        rewards = _rewards(row["rewards"])
+        follows = f"follows {row['follows']}\n" if row["follows"] else ""
         table.add_row(
-            f"[bold]{row['name']}[/]\n{row['summary']}\n{_follows(row)}{_world(row)}[dim]{escape(arguments)}[/]",
+            f"[bold]{row['name']}[/]\n{row['summary']}\n{follows}{_world(row)}[dim]{escape(arguments)}[/]",
             f"observation {row['observation_space']}\naction {row['action_space']}",
             "\n".join(f"{word} {bits}" for word, bits in row["bits"].items()),
-            f"{rewards}\nlimit {row['max_cycles'] or 'none'}",
+            f"{_rewards(row['rewards'])}\nlimit {row['max_cycles'] or 'none'}",
         )
     console.print(table)
 
@@ -74,10 +73,6 @@ def _followed(spec: EnvSpec) -> str | None:
     return spec.follows or (f"Gymnasium {spec.oracle}" if spec.oracle else None)
 
 
-def _follows(row: dict[str, Any]) -> str:
-    return f"follows {row['follows']}\n" if row["follows"] else ""
-
-
 def _rewards(table: tuple[float, ...] | None) -> str:
     if table is None:
         return "computed"
@@ -96,21 +91,19 @@ def _world(row: dict[str, Any]) -> str:
     return f"{'; '.join(parts)}\n" if parts else ""
 
 
-def _widths(spec: EnvSpec) -> tuple[int, int, int, int]:
+def _widths(spec: EnvSpec) -> list[int]:
     words = spec.state, spec.action_fields, spec.observation, (spec.reward,)
-    state, action, observation, reward = map(word_bits, words)
-    return state, action, observation, reward
+    return [word_bits(word) for word in words]
 
 
 def markdown(specs: list[EnvSpec]) -> str:
     """Return the tables of ``docs/environments.md``: every environment, and widths beside the paper's."""
-    every = [
-        "| environment | observation and action space | time limit "
-        "| bits: state, action, observation, reward | arguments | follows |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]
-    for spec in specs:
-        cells = (
+    headings = (
+        *("environment", "observation and action space", "time limit"),
+        *("bits: state, action, observation, reward", "arguments", "follows"),
+    )
+    rows = [
+        (
             f"[**{spec.name}**](../envs/{snake_case(spec.name)}/README.md)<br>{spec.summary}",
             f"{_space(spec.observation_space)}<br>{_space(spec.action_space)}",
             str(spec.max_cycles or "none"),
@@ -118,16 +111,16 @@ def markdown(specs: list[EnvSpec]) -> str:
             "<br>".join(f"`{name}={_rounded(value)!r}`" for name, value in spec.options.items()) or "none",
             "{} `{}`".format(*followed.split(" ")) if (followed := _followed(spec)) else "none",
         )
-        every.append(f"| {' | '.join(cells)} |")
-    paper = [
-        "| environment | state | action | observation | reward |",
-        "| --- | --: | --: | --: | --: |",
+        for spec in specs
     ]
+    paper = []
     for spec in specs:
         if spec.name in TABLE_2:
             pairs = zip(_widths(spec), TABLE_2[spec.name].widths, strict=True)
-            paper.append(f"| {spec.name} | {' | '.join(f'{ours} ({theirs})' for ours, theirs in pairs)} |")
-    return "\n".join([*every, "", "Bits of a word, in parentheses those of the paper:", "", *paper, ""])
+            paper.append((spec.name, *(f"{ours} ({theirs})" for ours, theirs in pairs)))
+    every = MeasuredTable(headings, rows, range(len(headings))).markdown()
+    widths = MeasuredTable(("environment", "state", "action", "observation", "reward"), paper).markdown()
+    return f"{every}\n\nBits of a word, in parentheses those of the paper:\n\n{widths}\n"
 
 
 def _space(space: Space[Any]) -> str:
