@@ -25,21 +25,10 @@ from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.spec import EnvSpec
 from pearl_marl.verification import Run, replay, runs, verify
 
-
-class Autoreset(StrEnum):
-    """The modes of a device, as the command line writes them."""
-
-    SAME_STEP = "same-step"
-    NEXT_STEP = "next-step"
-
-
-class Starts(StrEnum):
-    """The initial states of a device."""
-
-    RANDOM = "random"
-    STORED = "stored"
-
-
+Autoreset = StrEnum("Autoreset", {"SAME_STEP": "same-step", "NEXT_STEP": "next-step"})
+"""The modes of a device, as the command line writes them."""
+Starts = StrEnum("Starts", ["RANDOM", "STORED"])
+"""The initial states of a device."""
 Subject = Annotated[
     str, typer.Argument(metavar="ENV|FILE", help="An environment of `pearl envs`, or a replay file.")
 ]
@@ -288,10 +277,8 @@ def _replay(recorded_call: Replay, device: str | None, reference: str | None, as
             }
         )
     else:
-        n = recorded_call.config.n_agents
-        agents = f"{n:,} agent{'s' * (n != 1)}"
-        text = f"Recorded, replayed here with {agents}:\n{recorded}\n"
-        common.say(text)
+        agents = common.counted(recorded_call.config.n_agents, "agent")
+        common.say(f"Recorded, replayed here with {agents}:\n{recorded}\n")
         _say(error, f"The divergence is gone: {device} agrees with {reference} in every word of this call.")
     if error is not None:
         sys.exit(1)
