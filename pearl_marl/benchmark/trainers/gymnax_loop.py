@@ -44,6 +44,17 @@ class RunningStatistics(NamedTuple):
         return ((obs - self.mean) / jnp.sqrt(self.variance + 1e-8)).clip(-10, 10)
 
 
+class LoopStep(NamedTuple):
+    """One step of every environment, as learning needs it."""
+
+    obs: Any
+    actions: Any
+    logs: Any  # of the actions' probabilities, where actions are drawn
+    values: Any
+    rewards: Any
+    dones: Any
+
+
 class LoopState(NamedTuple):
     """What an update begins with, and leaves for the next one."""
 
@@ -196,37 +207,68 @@ class Learner:
 
 
 def run(
-    agents: GymnaxAgents,
-    learner: Learner,
-    weights: Callable[[Any], Any],
-    update: Callable[[LoopState], LoopState],
-    outputs: Callable[[Any, Any], Any],
+    task: TrainingTask,
     settings: Any,
     watch: Watch,
+    weights: Callable[[Any, tuple[int, ...], int, int], Any],
+    network: Callable[[Any, Any], tuple[Any, Any]],
+    choose: Callable[[Any, Any, Any], tuple[Any, Any]],
+    loss: Callable[..., Any],
+    *,
+    draws: int,
+    max_grad_norm: float,
 ) -> None:
     """Update until the watch says that it is over.
 
     Parameters
     ----------
     weights
-        Returns a network's first weights, given a key.
-    update
-        Gathers a rollout and learns from it.
-    outputs
-        Returns a number for each action, given weights and inputs; the greatest is that of the best action.
+        Returns a network's first weights, given a key, the shape of inputs, how many actions, and a width.
+    network
+        Returns a number for each action, and values, given weights and inputs; the best action's is greatest.
+    choose
+        Returns actions, and the logarithms of their probabilities or None, given those numbers, as many keys
+        as ``draws`` says, and the updates so far.
+    loss, max_grad_norm
+        As :class:`Learner` takes them; a minibatch has steps, their advantages, and targets of their values.
     """
+    agents, learner = GymnaxAgents(task, settings), Learner(settings, loss, max_grad_norm)
+
+    def act(carry: Any, _: Any, done: Any) -> Any:
+        params, statistics, states, obs, key = carry
+        key, *choosing, stepping = jax.random.split(key, draws + 2)
+        inputs = agents.inputs(statistics, obs)
+        outputs, values = network(params, inputs)
+        actions, logs = choose(outputs, choosing, done)
+        statistics, states, obs, rewards, dones = agents.stepped(statistics, states, actions, stepping)
+        step = LoopStep(inputs, actions, logs, values, rewards, dones)
+        return (params, statistics, states, obs, key), step
+
+    def update(state: LoopState) -> LoopState:
+        params, opt_state, *others, done = state
+        acting = partial(act, done=done)
+        carry, steps = jax.lax.scan(acting, (params, *others), None, settings.rollout_length)
+        params, statistics, states, obs, key = carry
+        last = network(params, agents.inputs(statistics, obs))[1]
+        gains = advantages(steps, last, settings)
+        samples = steps, gains, gains + steps.values
+        params, opt_state, key = learner.learn(params, opt_state, samples, key)
+        return LoopState(params, opt_state, statistics, states, obs, key, done + 1)
+
     key, starting, resetting = jax.random.split(jax.random.key(settings.seed), 3)
-    params = weights(starting)
+    params = weights(starting, agents.shape, agents.actions, settings.width)
     state = LoopState(params, learner.started(params), *agents.started(resetting), key, jnp.int32(0))
     compiled = jax.jit(update, donate_argnums=0).lower(state).compile()
 
-    best = jax.jit(lambda params, statistics, obs: outputs(params, agents.inputs(statistics, obs)).argmax(1))
+    best = jax.jit(
+        lambda params, statistics, obs: network(params, agents.inputs(statistics, obs))[0].argmax(1)
+    )
 
-    def choose(observations: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def policy(observations: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return np.asarray(best(state.params, state.statistics, jnp.asarray(observations)))
 
     watch.start()
     for iteration in range(settings.iterations):
         state = jax.block_until_ready(compiled(state))
-        if watch((iteration + 1) * agents.n * settings.rollout_length, choose):
+        if watch((iteration + 1) * agents.n * settings.rollout_length, policy):
             return

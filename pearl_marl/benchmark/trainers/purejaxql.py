@@ -7,8 +7,7 @@ optimiser is Adam instead of RAdam, and the learning rate falls to 0.
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,27 +17,7 @@ from pearl_marl.benchmark.watch import Watch
 from pearl_marl.policies.dense import EPSILON
 from pearl_marl.training.pqn import PQN
 
-from .gymnax_loop import (
-    GymnaxAgents,
-    Learner,
-    LoopState,
-    advantages,
-    applied,
-    dense,
-    filtered,
-    filters,
-    run,
-)
-
-
-class ValuedStep(NamedTuple):
-    """One step of every environment, with the values of the best actions."""
-
-    obs: Any
-    actions: Any
-    values: Any
-    rewards: Any
-    dones: Any
+from .gymnax_loop import LoopStep, applied, dense, filtered, filters, run
 
 
 def weights(key: Any, shape: tuple[int, ...], actions: int, width: int) -> dict[str, Any]:
@@ -67,38 +46,24 @@ def network(params: Any, obs: Any) -> Any:
 
 def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     """Train until the watch says that it is over."""
-    agents, s = GymnaxAgents(task, settings), settings
+    s = settings
 
-    def loss(params: Any, step: ValuedStep, targets: Any) -> Any:
+    def loss(params: Any, step: LoopStep, _: Any, targets: Any) -> Any:
         values = jnp.take_along_axis(network(params, step.obs), step.actions[:, None], 1)[:, 0]
         return 0.5 * ((values - targets) ** 2).mean()
 
-    learner = Learner(settings, loss, PQN.max_grad_norm)
-
-    def act(carry: Any, _: Any, explored: Any) -> Any:
-        params, statistics, states, obs, key = carry
-        key, deciding, drawing, stepping = jax.random.split(key, 4)
-        inputs = agents.inputs(statistics, obs)
+    def valued(params: Any, inputs: Any) -> tuple[Any, Any]:
         outputs = network(params, inputs)
-        others = jax.random.randint(drawing, (agents.n,), 0, agents.actions)
-        random = jax.random.uniform(deciding, (agents.n,)) < explored
-        actions = jnp.where(random, others, outputs.argmax(1))
-        statistics, states, obs, rewards, dones = agents.stepped(statistics, states, actions, stepping)
-        step = ValuedStep(inputs, actions, outputs.max(1), rewards, dones)
-        return (params, statistics, states, obs, key), step
+        return outputs, outputs.max(1)
 
-    def update(state: LoopState) -> LoopState:
-        params, opt_state, *others, done = state
+    def choose(outputs: Any, keys: Any, done: Any) -> tuple[Any, None]:
+        deciding, drawing = keys
         passed = jnp.minimum(done / s.iterations / s.exploration_fraction, 1.0)
         explored = s.epsilon + passed * (s.final_epsilon - s.epsilon)
-        exploring = partial(act, explored=explored)
-        carry, steps = jax.lax.scan(exploring, (params, *others), None, s.rollout_length)
-        params, statistics, states, obs, key = carry
-        last = network(params, agents.inputs(statistics, obs)).max(1)
-        # Lambda-returns are values of best actions plus these values' advantages by the same lambda.
-        targets = steps.values + advantages(steps, last, settings)
-        params, opt_state, key = learner.learn(params, opt_state, (steps, targets), key)
-        return LoopState(params, opt_state, statistics, states, obs, key, done + 1)
+        n, actions = outputs.shape
+        others = jax.random.randint(drawing, (n,), 0, actions)
+        random = jax.random.uniform(deciding, (n,)) < explored
+        return jnp.where(random, others, outputs.argmax(1)), None
 
-    first = partial(weights, shape=agents.shape, actions=agents.actions, width=s.width)
-    run(agents, learner, first, update, network, settings, watch)
+    # Targets, which are lambda-returns, are values of best actions plus their advantages by the same lambda.
+    run(task, settings, watch, weights, valued, choose, loss, draws=2, max_grad_norm=PQN.max_grad_norm)

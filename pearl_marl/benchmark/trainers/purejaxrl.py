@@ -7,8 +7,7 @@ as ours.
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,28 +15,7 @@ import jax.numpy as jnp
 from pearl_marl.benchmark.training import TrainingTask
 from pearl_marl.benchmark.watch import Watch
 
-from .gymnax_loop import (
-    GymnaxAgents,
-    Learner,
-    LoopState,
-    advantages,
-    applied,
-    dense,
-    filtered,
-    filters,
-    run,
-)
-
-
-class LearningStep(NamedTuple):
-    """One step of every environment, as learning needs it."""
-
-    obs: Any
-    actions: Any
-    logs: Any
-    values: Any
-    rewards: Any
-    dones: Any
+from .gymnax_loop import LoopStep, applied, dense, filtered, filters, run
 
 
 def weights(key: Any, shape: tuple[int, ...], actions: int, width: int) -> dict[str, Any]:
@@ -73,9 +51,9 @@ def network(params: Any, obs: Any) -> tuple[Any, Any]:
 
 def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     """Train until the watch says that it is over."""
-    agents, s = GymnaxAgents(task, settings), settings
+    s = settings
 
-    def loss(params: Any, step: LearningStep, gains: Any, targets: Any) -> Any:
+    def loss(params: Any, step: LoopStep, gains: Any, targets: Any) -> Any:
         logits, values = network(params, step.obs)
         chances = jax.nn.log_softmax(logits)
         logs = jnp.take_along_axis(chances, step.actions[:, None], 1)[:, 0]
@@ -87,28 +65,9 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
         entropy = -(jnp.exp(chances) * chances).sum(1).mean()
         return policy_loss + value_loss - s.entropy * entropy
 
-    learner = Learner(settings, loss, max_grad_norm=0.5)
-
-    def act(carry: Any, _: Any) -> Any:
-        params, statistics, states, obs, key = carry
-        key, drawing, stepping = jax.random.split(key, 3)
-        inputs = agents.inputs(statistics, obs)
-        logits, values = network(params, inputs)
-        actions = jax.random.categorical(drawing, logits)
+    def choose(logits: Any, keys: Any, _: Any) -> tuple[Any, Any]:
+        actions = jax.random.categorical(*keys, logits)
         logs = jnp.take_along_axis(jax.nn.log_softmax(logits), actions[:, None], 1)[:, 0]
-        statistics, states, obs, rewards, dones = agents.stepped(statistics, states, actions, stepping)
-        step = LearningStep(inputs, actions, logs, values, rewards, dones)
-        return (params, statistics, states, obs, key), step
+        return actions, logs
 
-    def update(state: LoopState) -> LoopState:
-        params, opt_state, *others, done = state
-        carry, steps = jax.lax.scan(act, (params, *others), None, s.rollout_length)
-        params, statistics, states, obs, key = carry
-        last = network(params, agents.inputs(statistics, obs))[1]
-        gains = advantages(steps, last, settings)
-        samples = steps, gains, gains + steps.values
-        params, opt_state, key = learner.learn(params, opt_state, samples, key)
-        return LoopState(params, opt_state, statistics, states, obs, key, done + 1)
-
-    first = partial(weights, shape=agents.shape, actions=agents.actions, width=s.width)
-    run(agents, learner, first, update, lambda params, inputs: network(params, inputs)[0], settings, watch)
+    run(task, settings, watch, weights, network, choose, loss, draws=1, max_grad_norm=0.5)
