@@ -24,6 +24,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import nn
 
 import pearl_marl
+from pearl_marl.benchmark.measure import UnavailableError
+from pearl_marl.benchmark.peers import envpool_of
 from pearl_marl.benchmark.trainers.sb3 import EnvPoolVecEnv, best_actions
 from pearl_marl.benchmark.watch import mean_return
 from pearl_marl.envs import get_spec
@@ -75,10 +77,9 @@ def vec_env(source: str, env_id: str, n: int, seed: int) -> VecEnv:
         raise ArgumentError(f"--source {source} has no {env_id}")
     elif source == "envpool":
         try:
-            from pearl_marl.benchmark.trainers.envpool_agents import environments
-        except ImportError:
-            raise ArgumentError("EnvPool is not installed: pip install '.[bench]'") from None
-        return EnvPoolVecEnv(environments(oracle, n, seed), n)
+            return EnvPoolVecEnv(envpool_of(get_spec(env_id), n, seed), n)
+        except UnavailableError as error:
+            raise ArgumentError(f"--source envpool: {error}") from None
     else:
         env = DummyVecEnv([partial(gymnasium.make, oracle)] * n)
     env.seed(seed)

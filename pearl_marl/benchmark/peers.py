@@ -135,7 +135,7 @@ def _of_envpool(spec: EnvSpec) -> Peer:
     return peer_of(spec, _ENVPOOL) if _ENVPOOL in spec.peers else Peer(spec.oracle or "")
 
 
-def envpool_of(spec: EnvSpec, n: int) -> Any:
+def envpool_of(spec: EnvSpec, n: int, seed: int = 42) -> Any:
     """Return EnvPool's environments, for ``n`` agents; they are not reset yet.
 
     Raises
@@ -158,7 +158,7 @@ def envpool_of(spec: EnvSpec, n: int) -> Any:
         raise UnavailableError(f"EnvPool {metadata.version('envpool')} has no {family.rpartition('/')[2]}")
     if spec.configure is not None and options != spec.configure().options:
         raise UnavailableError(f"measured with default options only, not {options}")
-    return envpool.make(name, env_type="gymnasium", num_envs=n // (peer.agents or spec.agents))
+    return envpool.make(name, env_type="gymnasium", num_envs=n // (peer.agents or spec.agents), seed=seed)
 
 
 def _envpool(spec: EnvSpec, n: int) -> Step | Game:

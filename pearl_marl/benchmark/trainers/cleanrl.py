@@ -20,7 +20,7 @@ from gymnasium.spaces import Discrete
 from torch import Tensor, nn
 from torch.distributions import Categorical
 
-from pearl_marl.benchmark.peers import quiet_spaces
+from pearl_marl.benchmark.peers import envpool_of, quiet_spaces
 from pearl_marl.benchmark.training import TrainingTask
 from pearl_marl.benchmark.watch import Watch
 
@@ -130,9 +130,7 @@ def environments(task: TrainingTask, n: int, seed: int) -> Any:
         return Worlds(worlds.environments(task, n), seed)
     oracle = task.spec.oracle or ""
     if "MinAtar" not in oracle:
-        from . import envpool_agents
-
-        return envpool_agents.environments(task.env_id, n, seed)
+        return envpool_of(task.spec, n, seed)
     envs = gymnasium.make_vec(oracle, num_envs=n, vectorization_mode="sync")
     envs.reset(seed=seed)
     return envs

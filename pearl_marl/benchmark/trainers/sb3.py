@@ -15,7 +15,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
 from torch import Tensor, nn
 
-from pearl_marl.benchmark.peers import quiet_spaces
+from pearl_marl.benchmark.peers import envpool_of, quiet_spaces
 from pearl_marl.benchmark.training import TrainingTask
 from pearl_marl.benchmark.watch import Watch
 from pearl_marl.wrappers import sb3_vec_env
@@ -132,9 +132,7 @@ def environments(task: TrainingTask, n: int, seed: int) -> VecEnv:
         env = sb3_vec_env(worlds.environments(task, n))
         env.seed(seed)
     else:
-        from . import envpool_agents
-
-        env = EnvPoolVecEnv(envpool_agents.environments(task.env_id, n, seed), n)
+        env = EnvPoolVecEnv(envpool_of(task.spec, n, seed), n)
     vector = not isinstance(env.observation_space, Discrete)
     return VecNormalize(env, norm_reward=False) if vector else env
 
