@@ -168,13 +168,7 @@ TRAINERS = (
     TrainerModule(OURS, "ours", "", ("torch",)),
     TrainerModule(SB3, "sb3", ("PPO", "DQN"), ("stable_baselines3", "sb3_contrib", "envpool")),
     TrainerModule(CLEANRL, "cleanrl", "PPO", ("torch", "envpool")),
-    TrainerModule(
-        PUREJAXRL,
-        "purejaxrl",
-        "PPO",
-        ("jax", "gymnax", "optax"),
-        "gymnax",
-    ),
+    TrainerModule(PUREJAXRL, "purejaxrl", "PPO", ("jax", "gymnax", "optax"), "gymnax"),
     TrainerModule(PUREJAXQL, "purejaxql", "PQN", ("jax", "gymnax", "optax"), "gymnax"),
     TrainerModule(BENCHMARL, "benchmarl", ("IPPO", "MAPPO", "VDN", "QMIX"), ("benchmarl",)),
     TrainerModule(

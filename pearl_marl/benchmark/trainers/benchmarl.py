@@ -26,12 +26,7 @@ from pearl_marl.wrappers import agent_indicator_v0, benchmarl_task, dtype_v0, re
 
 from .worlds import indicated
 
-ALGORITHMS: dict[str, Any] = {
-    "ppo": IppoConfig,
-    "mappo": MappoConfig,
-    "vdn": VdnConfig,
-    "qmix": QmixConfig,
-}
+ALGORITHMS: dict[str, Any] = {"ppo": IppoConfig, "mappo": MappoConfig, "vdn": VdnConfig, "qmix": QmixConfig}
 ON_POLICY = ("ppo", "mappo")
 MEMORY = 50
 """Of how many rollouts the off-policy algorithms keep the samples."""
