@@ -72,11 +72,22 @@ def command(
     n_agents = common.agents_of(spec, n_agents)
     if policy is not None and actions is not None:
         raise ArgumentError("--policy and --actions both say what agents do: leave one of them out")
+    settings = {
+        "environment": spec.id,
+        "options": dict(spec.options),
+        "device": device,
+        "simulated": common.simulated(device),
+        **({} if policy is None else {"policy": policy}),
+        "n_agents": n_agents,
+        "steps": steps,
+        "seed": seed,
+        "agent_steps": steps * n_agents,
+    }
     player = None if policy is None else load_policy(policy, spec, seed)
     if isinstance(player, DevicePolicy) and video is None:
         common.check_results(out, "run.json")
         env = parallel_env(env_id, n_agents, device=device, max_cycles=max_cycles, **spec.options)
-        result = _rolled_out(env, player, str(policy), steps, seed, device)
+        result = settings | _rolled_out(env, player, steps, seed)
         if not common.delivered(result, as_json, out, "run.json"):
             console.print(_table(result))
         return
@@ -119,16 +130,7 @@ def command(
 
     # The first step may load or compile the kernel, which says nothing about the others.
     typical = float(np.median(stepping[1:] or stepping))
-    result = {
-        "environment": spec.id,
-        "options": dict(spec.options),
-        "device": device,
-        "simulated": common.simulated(device),
-        **({} if policy is None else {"policy": policy}),
-        "n_agents": n_agents,
-        "steps": steps,
-        "seed": seed,
-        "agent_steps": steps * n_agents,
+    result = settings | {
         "counts": "step_batch, copy=False: all result arrays; median step",
         "agent_steps_per_second": n_agents / typical,
         "microseconds_per_step": typical * 1e6,
@@ -158,12 +160,9 @@ def command(
         common.say(f"Wrote {path}")
 
 
-def _rolled_out(
-    env: PearlParallelEnv, policy: DevicePolicy, name: str, steps: int, seed: int, device: str
-) -> dict[str, Any]:
+def _rolled_out(env: PearlParallelEnv, policy: DevicePolicy, steps: int, seed: int) -> dict[str, Any]:
     """Return the figures of a rollout."""
     with contextlib.closing(env):
-        n = env.batch_size
         env.reset_batch(seed)
         env.rollout(policy, 1)  # loads the loop, or compiles it
         env.reset_batch(seed)
@@ -175,17 +174,8 @@ def _rolled_out(
         variance = result.squares.sum() / result.episodes - result.mean_return**2
         spread = float(np.sqrt(max(variance, 0.0)))
     return {
-        "environment": env.spec.id,
-        "options": dict(env.spec.options),
-        "device": device,
-        "simulated": common.simulated(device),
-        "policy": name,
-        "n_agents": n,
-        "steps": steps,
-        "seed": seed,
-        "agent_steps": steps * n,
         "counts": "one rollout, the policy included",
-        "agent_steps_per_second": steps * n / seconds,
+        "agent_steps_per_second": steps * env.batch_size / seconds,
         "microseconds_per_step": seconds / steps * 1e6,
         "episodes": result.episodes,
         "truncated": int(result.truncated.sum()),
