@@ -23,6 +23,7 @@ from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import ArgumentError
 
 if TYPE_CHECKING:
+    from rich.progress import Progress, TextColumn
     from rich.table import Table
 
     from pearl_marl.benchmark.tables import MeasuredTable
@@ -211,15 +212,18 @@ def in_file_name(device: str) -> str:
     return re.sub(r"[^\w.-]+", "_", device)
 
 
-def progress(items: Iterable[T], total: int, label: str) -> Iterator[T]:
-    """Iterate with a progress bar on standard error, so that standard output stays for results."""
+def progress_bar(*more: TextColumn) -> Progress:
+    """Return a progress bar on standard error, so that standard output stays for results; more at its end."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     text = TextColumn("{task.description}", markup=False)
-    columns = (text, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(
-        *columns, console=error_console, transient=True, disable=not error_console.is_terminal
-    ) as bar:
+    columns = (text, BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), *more)
+    return Progress(*columns, console=error_console, transient=True, disable=not error_console.is_terminal)
+
+
+def progress(items: Iterable[T], total: int, label: str) -> Iterator[T]:
+    """Iterate with a progress bar."""
+    with progress_bar() as bar:
         yield from bar.track(items, total=total, description=label, update_period=0.2)
 
 

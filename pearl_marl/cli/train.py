@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import TextColumn
 
 from pearl_marl.checks import checked_number
 from pearl_marl.cli import common
@@ -197,22 +197,10 @@ def _learns(algorithm: str, name: str) -> str:
 
 def _train(run: Any, title: str, iterations: int) -> None:
     """Train a run, or several, to the end, or until Ctrl-C."""
-    columns = (
-        TextColumn(title, markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[note]}"),
-    )
     # An iteration that has begun is done to its end: a run cannot go on from half of one.
     keeping = "keeping the run after this iteration; Ctrl-C again ends it now"
-    with (
-        Progress(
-            *columns, console=error_console, transient=True, disable=not error_console.is_terminal
-        ) as bar,
-        run.claimed(),
-    ):
-        task = bar.add_task("train", total=iterations, note="")
+    with common.progress_bar(TextColumn("{task.fields[note]}")) as bar, run.claimed():
+        task = bar.add_task(title, total=iterations, note="")
         while not run.finished:
             with interrupts.later(keeping):
                 row = run.iterate()
