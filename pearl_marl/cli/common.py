@@ -8,10 +8,11 @@ import json
 import os
 import re
 import shlex
+import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
 
 import typer
 from rich.console import Console
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from pearl_marl.benchmark.tables import MeasuredTable
+    from pearl_marl.devices import Device
+    from pearl_marl.errors import LockstepError
     from pearl_marl.policies.device_policy import DevicePolicy
     from pearl_marl.spec import EnvSpec
 
@@ -121,6 +124,11 @@ def folder_option(use: str, show_default: bool | str = True) -> Any:
 Out = Annotated[Path | None, folder_option("Where to write results.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 AsMarkdown = Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown.")]
+InLockstep = Annotated[
+    bool, typer.Option("--lockstep", help="Compare every word of every step with the golden functions.")
+]
+REFERENCE = "reference"
+"""The device that ``--lockstep`` compares with."""
 Options = Annotated[
     list[str] | None,
     typer.Option(metavar="NAME=VALUE", help="An argument of the environment; may be repeated."),
@@ -207,9 +215,27 @@ def counted(n: int, what: str) -> str:
     return f"{n:,} {what}{'' if n == 1 else 's'}"
 
 
+def device_maker(device: str, lockstep: bool) -> Callable[[], str | Device]:
+    """Return a function that makes the device to step with; in lockstep it is compared with the reference."""
+    from pearl_marl.devices import Lockstep
+
+    if not lockstep:
+        return lambda: device
+    if device == REFERENCE:
+        raise ArgumentError(
+            f"--lockstep compares with {REFERENCE!r}, which always agrees with itself: name another --device"
+        )
+    return lambda: Lockstep(device, REFERENCE)
+
+
 def in_file_name(device: str) -> str:
     """Return a device's name as it can be part of a file's: ``xdma:/dev/shm/board`` has more than letters."""
     return re.sub(r"[^\w.-]+", "_", device)
+
+
+def divergence_file(spec: EnvSpec, device: str) -> str:
+    """Return the name of the file that tells where a device differs from the golden functions."""
+    return f"divergence_{spec.name}_{in_file_name(device)}.json"
 
 
 def progress_bar(*more: TextColumn) -> Progress:
@@ -281,6 +307,17 @@ def replaying(path: Path, **named: str) -> str:
     return f"pearl verify {path}" + "".join(
         f" --{name} {value}" for name, value in named.items() if ":" in value
     )
+
+
+def end_with(error: LockstepError, out: Path | None, file: str, env_id: str, device: str) -> NoReturn:
+    """Print where a device differs, write the file that replays it, and end with status 1."""
+    error_console.print(f"[bold red]Not bit-exact.[/] {escape(str(error))}", soft_wrap=True)
+    if out is not None:
+        path = out / file
+        error.replay.write(path)
+        again = replaying(path, env=env_id, device=device)
+        error_console.print(f"Wrote {path}: {again} replays it.", markup=False, soft_wrap=True)
+    sys.exit(1)
 
 
 def print_json(value: Any) -> None:

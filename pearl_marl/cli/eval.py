@@ -12,18 +12,10 @@ from pearl_marl.benchmark.tables import duration, rate
 from pearl_marl.checks import MANY
 from pearl_marl.cli import common, match
 from pearl_marl.cli.common import console, error_console
-from pearl_marl.cli.evaluating import (
-    REFERENCE,
-    InLockstep,
-    MaxCycles,
-    device_maker,
-    divergence_file,
-    end_with,
-)
 from pearl_marl.errors import ArgumentError, LockstepError, PearlError
 from pearl_marl.evaluation.machine import machine
 from pearl_marl.evaluation.report import write_report
-from pearl_marl.evaluation.run import Evaluation
+from pearl_marl.evaluation.run import LIMIT, Evaluation
 from pearl_marl.policies.loading import load_policy
 
 PolicyName = Annotated[
@@ -41,6 +33,7 @@ Episodes = Annotated[
     int | None,
     typer.Option(min=1, max=MANY, help="Number of episodes that count.", show_default="one an agent"),
 ]
+MaxCycles = Annotated[int | None, common.max_cycles_option(f"the environment's, or {LIMIT:,}")]
 
 
 def command(
@@ -53,7 +46,7 @@ def command(
     episodes: Episodes = None,
     seed: common.Seed = 0,
     max_cycles: MaxCycles = None,
-    lockstep: InLockstep = False,
+    lockstep: common.InLockstep = False,
     option: common.Options = None,
     out: common.Out = None,
     as_json: common.AsJson = False,
@@ -79,9 +72,9 @@ def command(
         raise ArgumentError("--openings is an option of pearl match: leave it out")
     spec = common.spec_of(env_id, option)
     n_agents = common.agents_of(spec, n_agents)
-    divergence = divergence_file(spec, device)
+    divergence = common.divergence_file(spec, device)
     common.check_results(out, "evaluation.json", "evaluation.html", *([divergence] if lockstep else []))
-    stepped = device_maker(device, lockstep)()
+    stepped = common.device_maker(device, lockstep)()
     loaded = load_policy(policy, spec, seed)
     evaluation = Evaluation(
         spec, loaded, n_agents, stepped, episodes=episodes, seed=seed, max_cycles=max_cycles
@@ -92,13 +85,13 @@ def command(
         ):
             pass
     except LockstepError as error:
-        end_with(error, out, divergence, env_id, device)
+        common.end_with(error, out, divergence, env_id, device)
     result = {
         **evaluation.summary(),
         "policy": policy,
         "device": device,
         "simulated": common.simulated(device),
-        "lockstep": REFERENCE if lockstep else None,
+        "lockstep": common.REFERENCE if lockstep else None,
         "machine": machine(),
     }
     written = []
@@ -119,7 +112,8 @@ def command(
         console.print(_latency(result))
     if lockstep:
         console.print(
-            f"{escape(device)} is bit-exact with {REFERENCE}: {result['words_compared']:,} words compared.",
+            f"{escape(device)} is bit-exact with {common.REFERENCE}: "
+            f"{result['words_compared']:,} words compared.",
             style="bold green",
         )
     for path in written:

@@ -10,17 +10,10 @@ from rich.markup import escape
 from pearl_marl.benchmark.tables import MeasuredTable
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console
-from pearl_marl.cli.evaluating import (
-    REFERENCE,
-    InLockstep,
-    MaxCycles,
-    device_maker,
-    divergence_file,
-    end_with,
-)
 from pearl_marl.errors import ArgumentError, LockstepError
 from pearl_marl.evaluation.machine import machine
 from pearl_marl.evaluation.matches import OPENINGS, cross_table
+from pearl_marl.evaluation.run import LIMIT
 from pearl_marl.policies.loading import load_policy
 
 PolicyNames = Annotated[
@@ -38,6 +31,7 @@ Openings = Annotated[
         show_default=f"{OPENINGS} in games of turns",
     ),
 ]
+MaxCycles = Annotated[int | None, common.max_cycles_option(f"the environment's, or {LIMIT:,}")]
 
 
 def command(
@@ -48,7 +42,7 @@ def command(
     device: common.DeviceName = "native",
     seed: common.Seed = 0,
     max_cycles: MaxCycles = None,
-    lockstep: InLockstep = False,
+    lockstep: common.InLockstep = False,
     option: common.Options = None,
     out: common.Out = None,
     as_json: common.AsJson = False,
@@ -66,9 +60,9 @@ def command(
     if len(policies) < 2:
         raise ArgumentError("a match needs two policies: name another one")
     names = [f"{name} ({k + 1})" if policies.count(name) > 1 else name for k, name in enumerate(policies)]
-    divergence = divergence_file(spec, device)
+    divergence = common.divergence_file(spec, device)
     common.check_results(out, "matches.json", *([divergence] if lockstep else []))
-    make_device = device_maker(device, lockstep)
+    make_device = common.device_maker(device, lockstep)
     loaded = {names[k]: load_policy(policy, spec, seed + k) for k, policy in enumerate(policies)}
     settings: dict[str, Any] = {"seed": seed, "max_cycles": max_cycles, "openings": openings}
     pairs = len(loaded) * (len(loaded) - 1) // 2
@@ -77,14 +71,14 @@ def command(
         outcomes = cross_table(spec, loaded, n_agents, make_device, **settings)
         rows = list(common.progress(outcomes, pairs, label))
     except LockstepError as error:
-        end_with(error, out, divergence, env_id, device)
+        common.end_with(error, out, divergence, env_id, device)
     result = {
         "environment": spec.id,
         "options": dict(spec.options),
         "n_agents": n_agents,
         "device": device,
         **settings,
-        "lockstep": REFERENCE if lockstep else None,
+        "lockstep": common.REFERENCE if lockstep else None,
         "matches": rows,
         "machine": machine(),
     }
@@ -93,7 +87,7 @@ def command(
     table = _pairs(rows) if len(names) == 2 else _wins(names, rows)
     common.print_table(f"{spec.name}: matches", table, [], as_markdown)
     if lockstep and not as_markdown:
-        console.print(f"{escape(device)} is bit-exact with {REFERENCE}.", style="bold green")
+        console.print(f"{escape(device)} is bit-exact with {common.REFERENCE}.", style="bold green")
 
 
 def _pairs(rows: list[dict[str, Any]]) -> MeasuredTable:

@@ -143,7 +143,7 @@ def command(
         raise ArgumentError(
             f"--device and --reference are both {device!r}, which always agrees with itself: name another one"
         )
-    divergence = f"divergence_{spec.name}_{common.in_file_name(device)}.json"
+    divergence = common.divergence_file(spec, device)
     common.check_results(out, divergence)
     parted: LockstepError | None = None
     path = None
