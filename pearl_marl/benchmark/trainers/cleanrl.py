@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from gymnasium.spaces import Discrete
+from gymnasium.wrappers.utils import RunningMeanStd
 from torch import Tensor, nn
 from torch.distributions import Categorical
 
@@ -27,22 +28,12 @@ from pearl_marl.benchmark.watch import Watch
 from . import worlds
 
 
-class Normalised:
+class Normalised(RunningMeanStd):
     """Standardises vectors by the statistics of all before, as Gymnasium's wrapper does."""
-
-    def __init__(self, size: int) -> None:
-        self.mean, self.variance, self.count = np.zeros(size), np.ones(size), 1e-4
-
-    def update(self, obs: npt.NDArray[Any]) -> None:
-        """Add a batch to the statistics."""
-        mean, variance, rows = obs.mean(0), obs.var(0), len(obs)
-        total, change = self.count + rows, mean - self.mean
-        squares = self.variance * self.count + variance * rows + change**2 * self.count * rows / total
-        self.mean, self.variance, self.count = self.mean + change * rows / total, squares / total, total
 
     def __call__(self, obs: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return a batch standardised."""
-        scaled: npt.NDArray[Any] = (obs - self.mean) / np.sqrt(self.variance + 1e-8)
+        scaled: npt.NDArray[Any] = (obs - self.mean) / np.sqrt(self.var + 1e-8)
         return scaled.clip(-10, 10).astype(np.float32)
 
 
@@ -159,7 +150,7 @@ def train(task: TrainingTask, settings: Any, watch: Watch) -> None:
     elif len(space.shape) == 3:
         shape, prepared = space.shape, lambda obs: obs.astype(np.float32)
     else:
-        shape, prepared = space.shape, Normalised(space.shape[0])
+        shape, prepared = space.shape, Normalised(shape=space.shape)  # type: ignore[no-untyped-call]
         update = prepared.update
     agent = Agent(shape, int(actions_space.n), width)
     optimiser = torch.optim.Adam(agent.parameters(), lr=settings.learning_rate, eps=1e-5)
