@@ -47,24 +47,17 @@ Rounds = Annotated[
 ]
 MOST_SECONDS = 3600
 Seconds = Annotated[float, typer.Option(help="About how long one timing lasts.")]
-AnyEnv = Annotated[
-    str | None,
-    typer.Argument(metavar="[ENV]", help="An environment of `pearl envs`; by default CliffWalking."),
-]
-TrainedEnv = Annotated[
-    str | None, typer.Argument(metavar="[ENV]", help="An environment; by default all that are compared.")
-]
-QuantizedRun = Annotated[
-    Path, typer.Argument(metavar="RUN", help="A folder of `pearl train`, after `pearl quantize`.")
-]
-Every = Annotated[bool, typer.Option("--all", help="Compare every environment, with fewer contenders.")]
-Quick = Annotated[bool, typer.Option("--quick", help="Run only a few iterations of one seed.")]
 
 
 @app.command("steps")
 def steps(
-    env_id: AnyEnv = None,
-    every: Every = False,
+    env_id: Annotated[
+        str | None,
+        typer.Argument(metavar="[ENV]", help="An environment of `pearl envs`; by default CliffWalking."),
+    ] = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="Compare every environment, with fewer contenders.")
+    ] = False,
     n_agents: common.Agents = None,
     rounds: Rounds = 7,
     seconds: Seconds = 0.2,
@@ -108,7 +101,9 @@ def steps(
 
 @app.command("rollouts")
 def measure_rollouts(
-    run: QuantizedRun,
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="A folder of `pearl train`, after `pearl quantize`.")
+    ],
     n_agents: common.Agents = None,
     rounds: Rounds = 7,
     seconds: Seconds = 0.2,
@@ -179,8 +174,10 @@ def measure_growth(
 
 @app.command("training")
 def compare_trainings(
-    env_id: TrainedEnv = None,
-    quick: Quick = False,
+    env_id: Annotated[
+        str | None, typer.Argument(metavar="[ENV]", help="An environment; by default all that are compared.")
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Run only a few iterations of one seed.")] = False,
     out: common.Out = None,
     as_json: common.AsJson = False,
     as_markdown: common.AsMarkdown = False,

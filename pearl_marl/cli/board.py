@@ -15,21 +15,16 @@ from pearl_marl.cli.common import console
 from pearl_marl.hardware import boards
 from pearl_marl.hardware.boards import BOARDS, Board, Placed
 
-BoardName = Annotated[str, typer.Argument(metavar="|".join(BOARDS), help="The board.")]
-Slots = Annotated[int, typer.Option(help="Number of slots (worlds) of the design.")]
-PeNum = Annotated[
-    int | None,
-    typer.Option(help="Number of processing elements; by default as many as the board's bus can feed."),
-]
-Where = Annotated[Path, common.folder_option("The folder to write everything into.")]
-
 
 def command(
-    board_name: BoardName,
+    board_name: Annotated[str, typer.Argument(metavar="|".join(BOARDS), help="The board.")],
     env_id: common.EnvName,
-    out: Where,
-    n_envs: Slots = 1024,
-    pe_num: PeNum = None,
+    out: Annotated[Path, common.folder_option("The folder to write everything into.")],
+    n_envs: Annotated[int, typer.Option(help="Number of slots (worlds) of the design.")] = 1024,
+    pe_num: Annotated[
+        int | None,
+        typer.Option(help="Number of processing elements; by default as many as the board's bus can feed."),
+    ] = None,
     policy: common.EnginePolicy = None,
     option: common.Options = None,
     as_json: common.AsJson = False,

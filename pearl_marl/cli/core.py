@@ -14,24 +14,24 @@ from pearl_marl.compiler.cores import Core, generated_core
 from pearl_marl.compiler.targets import FAMILIES, Target
 from pearl_marl.errors import ArgumentError
 
-Clock = Annotated[float, typer.Option(metavar="MHZ", help="The clock rate that the pipeline is built for.")]
-FamilyName = Annotated[str, typer.Option(metavar="|".join(FAMILIES), help="The FPGA family.")]
-Into = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE.sv", help="The file to write the core to; without it, the core is printed."),
-]
-Picture = Annotated[
-    Path | None, typer.Option(metavar="FILE.svg", help="Draw the operations, stage by stage, into this file.")
-]
-
 
 def command(
     env_id: common.EnvName,
-    clock: Clock = 150.0,
-    family: FamilyName = "xc7",
+    clock: Annotated[
+        float, typer.Option(metavar="MHZ", help="The clock rate that the pipeline is built for.")
+    ] = 150.0,
+    family: Annotated[str, typer.Option(metavar="|".join(FAMILIES), help="The FPGA family.")] = "xc7",
     option: common.Options = None,
-    out: Into = None,
-    graph: Picture = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.sv", help="The file to write the core to; without it, the core is printed."
+        ),
+    ] = None,
+    graph: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.svg", help="Draw the operations, stage by stage, into this file."),
+    ] = None,
     as_json: common.AsJson = False,
 ) -> None:
     """Show the SystemVerilog core that an environment's golden functions become.

@@ -16,12 +16,14 @@ from pearl_marl.cli.common import AsJson, check_forms, console, print_json
 from pearl_marl.envs import get_spec, names
 from pearl_marl.spec import EnvSpec, snake_case, word_bits
 
-AsMarkdown = Annotated[
-    bool, typer.Option("--markdown", help="Print the tables of docs/environments.md, for whoever adds one.")
-]
 
-
-def command(as_json: AsJson = False, as_markdown: AsMarkdown = False) -> None:
+def command(
+    as_json: AsJson = False,
+    as_markdown: Annotated[
+        bool,
+        typer.Option("--markdown", help="Print the tables of docs/environments.md, for whoever adds one."),
+    ] = False,
+) -> None:
     """List the environments: spaces, widths, rewards, limits."""
     check_forms(as_json, as_markdown)
     if as_markdown:

@@ -18,34 +18,29 @@ from pearl_marl.evaluation.report import write_report
 from pearl_marl.evaluation.run import LIMIT, Evaluation
 from pearl_marl.policies.loading import load_policy
 
-PolicyName = Annotated[
-    str,
-    typer.Option(
-        help="`random`, a table of action values (FILE.npy, FILE.npz), a model of Stable-Baselines3 "
-        "(FILE.zip), a folder of `pearl train`, a file of `pearl quantize`, or a function of observations "
-        "(MODULE:FUNCTION, FILE.py:FUNCTION)."
-    ),
-]
 # What `pearl match` does was an option here; these work for one version more.
-Against = Annotated[list[str] | None, typer.Option(hidden=True)]
-Openings = Annotated[int | None, typer.Option(min=0, hidden=True)]
-Episodes = Annotated[
-    int | None,
-    typer.Option(min=1, max=MANY, help="Number of episodes that count.", show_default="one an agent"),
-]
-MaxCycles = Annotated[int | None, common.max_cycles_option(f"the environment's, or {LIMIT:,}")]
 
 
 def command(
     env_id: common.EnvName,
-    policy: PolicyName,
-    against: Against = None,
-    openings: Openings = None,
+    policy: Annotated[
+        str,
+        typer.Option(
+            help="`random`, a table of action values (FILE.npy, FILE.npz), a model of Stable-Baselines3 "
+            "(FILE.zip), a folder of `pearl train`, a file of `pearl quantize`, or a function of "
+            "observations (MODULE:FUNCTION, FILE.py:FUNCTION)."
+        ),
+    ],
+    against: Annotated[list[str] | None, typer.Option(hidden=True)] = None,
+    openings: Annotated[int | None, typer.Option(min=0, hidden=True)] = None,
     n_agents: common.Agents = None,
     device: common.DeviceName = "native",
-    episodes: Episodes = None,
+    episodes: Annotated[
+        int | None,
+        typer.Option(min=1, max=MANY, help="Number of episodes that count.", show_default="one an agent"),
+    ] = None,
     seed: common.Seed = 0,
-    max_cycles: MaxCycles = None,
+    max_cycles: Annotated[int | None, common.max_cycles_option(f"the environment's, or {LIMIT:,}")] = None,
     lockstep: common.InLockstep = False,
     option: common.Options = None,
     out: common.Out = None,

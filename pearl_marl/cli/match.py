@@ -16,32 +16,28 @@ from pearl_marl.evaluation.matches import OPENINGS, cross_table
 from pearl_marl.evaluation.run import LIMIT
 from pearl_marl.policies.loading import load_policy
 
-PolicyNames = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="POLICY POLICY...",
-        help="Two policies or more, each anything that `pearl eval --policy` takes.",
-    ),
-]
-Openings = Annotated[
-    int | None,
-    typer.Option(
-        min=0,
-        help="The number of random steps at the start of every episode.",
-        show_default=f"{OPENINGS} in games of turns",
-    ),
-]
-MaxCycles = Annotated[int | None, common.max_cycles_option(f"the environment's, or {LIMIT:,}")]
-
 
 def command(
     env_id: common.EnvName,
-    policies: PolicyNames,
-    openings: Openings = None,
+    policies: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="POLICY POLICY...",
+            help="Two policies or more, each anything that `pearl eval --policy` takes.",
+        ),
+    ],
+    openings: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="The number of random steps at the start of every episode.",
+            show_default=f"{OPENINGS} in games of turns",
+        ),
+    ] = None,
     n_agents: common.Agents = None,
     device: common.DeviceName = "native",
     seed: common.Seed = 0,
-    max_cycles: MaxCycles = None,
+    max_cycles: Annotated[int | None, common.max_cycles_option(f"the environment's, or {LIMIT:,}")] = None,
     lockstep: common.InLockstep = False,
     option: common.Options = None,
     out: common.Out = None,

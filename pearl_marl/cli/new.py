@@ -30,36 +30,30 @@ TESTS = "tests"
 LONGEST = 64
 """Letters of a package's name; file systems take some 200 in all that is made of it."""
 
-NewName = Annotated[
-    str, typer.Argument(metavar="NAME", help="The new environment's name, for example FrozenLake.")
-]
-SharedBy = Annotated[int, typer.Option(help="Number of agents that share a world.")]
-From = Annotated[
-    str | None,
-    typer.Option(
-        "--from",
-        metavar="PACKAGE:CLASS|ID",
-        help="An environment to follow, of Gymnasium or a parallel one of PettingZoo: CliffWalking-v1. Of a "
-        "finite one the whole is made; of others a package to fill in, with tests against the original and a "
-        "page, PORTING.md, that says how.",
-    ),
-]
-OptionsOfOriginal = Annotated[
-    list[str] | None, typer.Option(metavar="NAME=VALUE", help="An argument of the original; may be repeated.")
-]
-Rules = Annotated[
-    bool, typer.Option("--rules", help="Write a package to fill in even where the original is finite.")
-]
-Where = Annotated[Path, common.folder_option("The folder to write the package into.")]
-
 
 def command(
-    name: NewName,
-    agents: SharedBy = 1,
-    original: From = None,
-    option: OptionsOfOriginal = None,
-    rules: Rules = False,
-    out: Where = Path(),
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="The new environment's name, for example FrozenLake.")
+    ],
+    agents: Annotated[int, typer.Option(help="Number of agents that share a world.")] = 1,
+    original: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="PACKAGE:CLASS|ID",
+            help="An environment to follow, of Gymnasium or a parallel one of PettingZoo: CliffWalking-v1. "
+            "Of a finite one the whole is made; of others a package to fill in, with tests against the "
+            "original and a page, PORTING.md, that says how.",
+        ),
+    ] = None,
+    option: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="An argument of the original; may be repeated."),
+    ] = None,
+    rules: Annotated[
+        bool, typer.Option("--rules", help="Write a package to fill in even where the original is finite.")
+    ] = False,
+    out: Annotated[Path, common.folder_option("The folder to write the package into.")] = Path(),
     as_json: common.AsJson = False,
 ) -> None:
     """Write a package with a small environment of that name: golden step, spec, tests, all working.

@@ -25,42 +25,38 @@ from pearl_marl.latency.rollout_planning import plan_rollouts
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.spec import EnvSpec
 
-Slots = Annotated[int, typer.Option(min=1, help="Number of slots (worlds) of the design.")]
-LinkName = Annotated[
-    str,
-    typer.Option(
-        metavar=f"{'|'.join(LINKS)}|CALL,WRITE,READ",
-        help="The link between host and hardware; or your own: microseconds per call, GB/s to the "
-        "hardware, GB/s from it.",
-    ),
-]
 ANY = "any"
 """The ``--part`` that everything fits."""
-PartName = Annotated[
-    str,
-    typer.Option(
-        metavar=f"{'|'.join(PARTS)}|{ANY}",
-        help=f"The part that memories and multipliers have to fit; `{ANY}` is without limits.",
-    ),
-]
-Clock = Annotated[float, typer.Option(metavar="MHZ", help="The hardware's clock rate.")]
-OnePeNum = Annotated[int | None, typer.Option(help="Consider only this number of processing elements.")]
-OneDataWl = Annotated[int | None, typer.Option(help="Consider only words of this many bits.")]
-PolicyName = Annotated[
-    str | None,
-    common.device_policy_option("Plan for rollouts of this policy, which move nothing over the link."),
-]
+CLOCK = BOARDS["vc707"].clock_mhz
 
 
 def command(
     env_id: common.EnvName,
-    n_envs: Slots = 43008,
-    link: LinkName = "gen2x8",
-    part: PartName = "vc707",
-    clock: Clock = BOARDS["vc707"].clock_mhz,
-    pe_num: OnePeNum = None,
-    data_wl: OneDataWl = None,
-    policy: PolicyName = None,
+    n_envs: Annotated[int, typer.Option(min=1, help="Number of slots (worlds) of the design.")] = 43008,
+    link: Annotated[
+        str,
+        typer.Option(
+            metavar=f"{'|'.join(LINKS)}|CALL,WRITE,READ",
+            help="The link between host and hardware; or your own: microseconds per call, GB/s to the "
+            "hardware, GB/s from it.",
+        ),
+    ] = "gen2x8",
+    part: Annotated[
+        str,
+        typer.Option(
+            metavar=f"{'|'.join(PARTS)}|{ANY}",
+            help=f"The part that memories and multipliers have to fit; `{ANY}` is without limits.",
+        ),
+    ] = "vc707",
+    clock: Annotated[float, typer.Option(metavar="MHZ", help="The hardware's clock rate.")] = CLOCK,
+    pe_num: Annotated[
+        int | None, typer.Option(help="Consider only this number of processing elements.")
+    ] = None,
+    data_wl: Annotated[int | None, typer.Option(help="Consider only words of this many bits.")] = None,
+    policy: Annotated[
+        str | None,
+        common.device_policy_option("Plan for rollouts of this policy, which move nothing over the link."),
+    ] = None,
     option: common.Options = None,
     out: common.Out = None,
     as_json: common.AsJson = False,

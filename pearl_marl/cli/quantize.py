@@ -11,29 +11,26 @@ from pearl_marl.cli import common
 from pearl_marl.cli.common import console, error_console
 from pearl_marl.errors import ArgumentError
 
-Run = Annotated[
-    Path, typer.Argument(metavar="RUN", help="A folder of `pearl train`, or its policy.safetensors.")
-]
-Into = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE.safetensors",
-        help="The file to write.",
-        show_default="integers.safetensors in the run folder",
-    ),
-]
 AGENTS, BITS = 1000, 8
-Agents = Annotated[int | None, common.agents_option(AGENTS)]
-WeightBits = Annotated[int, typer.Option(min=4, max=16, help="Width of weights.")]
-ActivationBits = Annotated[int, typer.Option(min=4, max=16, help="Width of what goes from layer to layer.")]
 
 
 def command(
-    run: Run,
-    out: Into = None,
-    weight_bits: WeightBits = BITS,
-    activation_bits: ActivationBits = BITS,
-    n_agents: Agents = None,
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="A folder of `pearl train`, or its policy.safetensors.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.safetensors",
+            help="The file to write.",
+            show_default="integers.safetensors in the run folder",
+        ),
+    ] = None,
+    weight_bits: Annotated[int, typer.Option(min=4, max=16, help="Width of weights.")] = BITS,
+    activation_bits: Annotated[
+        int, typer.Option(min=4, max=16, help="Width of what goes from layer to layer.")
+    ] = BITS,
+    n_agents: Annotated[int | None, common.agents_option(AGENTS)] = None,
     seed: common.Seed = 0,
     as_json: common.AsJson = False,
 ) -> None:

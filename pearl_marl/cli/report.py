@@ -13,22 +13,20 @@ from rich.markup import escape
 from pearl_marl.cli import common
 from pearl_marl.cli.common import AsJson, console, error_console, print_json, progress, table
 
-Quick = Annotated[
-    bool, typer.Option("--quick", help="Measure a small part of everything, in a minute or two.")
-]
-Folder = Annotated[
-    Path,
-    common.folder_option("The report's folder; if it holds an unfinished report, the command continues it."),
-]
-Only = Annotated[
-    list[str] | None, typer.Option(metavar="SECTION", help="Make only this section; may be repeated.")
-]
-
 
 def command(
-    quick: Quick = False,
-    out: Folder = Path("out/report"),
-    only: Only = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Measure a small part of everything, in a minute or two.")
+    ] = False,
+    out: Annotated[
+        Path,
+        common.folder_option(
+            "The report's folder; if it holds an unfinished report, the command continues it."
+        ),
+    ] = Path("out/report"),
+    only: Annotated[
+        list[str] | None, typer.Option(metavar="SECTION", help="Make only this section; may be repeated.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure every table and figure of the paper's evaluation, and write them as a page with its data.

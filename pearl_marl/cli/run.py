@@ -28,30 +28,6 @@ from pearl_marl.policies.loading import Policy, forget, load_policy, random_poli
 from pearl_marl.rendering import VIDEO_STEPS, VIDEO_WORLDS, HeatMap, Video
 from pearl_marl.spec import EnvSpec
 
-ActionFile = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="A .npy file of actions, of shape (steps, n_agents), or (steps, n_agents, n) if an action is an "
-        "array of shape (n,), as in Pendulum, where n is 1; without it, actions are random.",
-    ),
-]
-VideoFile = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE.gif",
-        help=f"Write a film of the first {VIDEO_WORLDS} worlds in the first {VIDEO_STEPS} steps.",
-    ),
-]
-PolicyName = Annotated[
-    str | None,
-    typer.Option(
-        help="A policy that acts, instead of random actions: what `pearl eval --policy` takes. One in "
-        "integers, or a GoldenPolicy, acts in a rollout."
-    ),
-]
-MaxCycles = Annotated[int | None, common.max_cycles_option()]
-
 
 def command(
     env_id: common.EnvName,
@@ -59,10 +35,29 @@ def command(
     device: common.DeviceName = "native",
     steps: common.Steps = 1000,
     seed: common.Seed = 0,
-    max_cycles: MaxCycles = None,
-    actions: ActionFile = None,
-    policy: PolicyName = None,
-    video: VideoFile = None,
+    max_cycles: Annotated[int | None, common.max_cycles_option()] = None,
+    actions: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="A .npy file of actions, of shape (steps, n_agents), or (steps, n_agents, n) if an action "
+            "is an array of shape (n,), as in Pendulum, where n is 1; without it, actions are random.",
+        ),
+    ] = None,
+    policy: Annotated[
+        str | None,
+        typer.Option(
+            help="A policy that acts, instead of random actions: what `pearl eval --policy` takes. One in "
+            "integers, or a GoldenPolicy, acts in a rollout."
+        ),
+    ] = None,
+    video: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.gif",
+            help=f"Write a film of the first {VIDEO_WORLDS} worlds in the first {VIDEO_STEPS} steps.",
+        ),
+    ] = None,
     option: common.Options = None,
     out: common.Out = None,
     as_json: common.AsJson = False,

@@ -20,21 +20,18 @@ from pearl_marl.devices.served import ServedBoard
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.engines import with_engine
 
-PeNum = Annotated[int | None, typer.Option(help="Number of processing elements.", show_default="chosen")]
-DataWl = Annotated[int | None, typer.Option(help="Bits of a word.", show_default="chosen")]
-PathName = Annotated[
-    str, typer.Option(help="How a step's bytes reach the memories: `backdoor`, or over `axi`.")
-]
-At = Annotated[Path, common.folder_option("The folder of the board's files.")]
-
 
 def command(
     env_id: common.EnvName,
-    at: At,
+    at: Annotated[Path, common.folder_option("The folder of the board's files.")],
     n_agents: common.Agents = None,
-    pe_num: PeNum = None,
-    data_wl: DataWl = None,
-    path: PathName = "backdoor",
+    pe_num: Annotated[
+        int | None, typer.Option(help="Number of processing elements.", show_default="chosen")
+    ] = None,
+    data_wl: Annotated[int | None, typer.Option(help="Bits of a word.", show_default="chosen")] = None,
+    path: Annotated[
+        str, typer.Option(help="How a step's bytes reach the memories: `backdoor`, or over `axi`.")
+    ] = "backdoor",
     policy: common.EnginePolicy = None,
     option: common.Options = None,
     as_json: common.AsJson = False,

@@ -21,42 +21,6 @@ from pearl_marl.hardware.synthesis import PLACEMENTS, Family, Usage, synthesise
 from pearl_marl.memory_map import default_map
 from pearl_marl.spec import EnvSpec
 
-Sizes = Annotated[
-    list[str],
-    typer.Option(
-        metavar="N[,N...]",
-        help="Number of slots (worlds) of the design; several give a table of how it grows.",
-    ),
-]
-SomeEnv = Annotated[str | None, typer.Argument(metavar="[ENV]", help="An environment of `pearl envs`.")]
-Every = Annotated[bool, typer.Option("--all", help="Synthesise every environment, at the first size.")]
-PeNum = Annotated[
-    int | None, typer.Option(help="Number of processing elements; by default as many as the words can feed.")
-]
-DataWl = Annotated[
-    int | None,
-    typer.Option(help="Bits of a word; by default wide enough to carry one group of slots per cycle."),
-]
-PartFamily = Annotated[Family, typer.Option(help="The family of FPGA to synthesise for.")]
-Fmax = Annotated[
-    bool,
-    typer.Option(
-        "--fmax",
-        help="Also place and route each size, to find its clock rate; designs for xc7 are placed on an ECP5.",
-    ),
-]
-FitPart = Annotated[
-    str | None,
-    typer.Option(metavar="|".join(PARTS), help="Find the largest --n-envs whose memories fit this part."),
-]
-Confirm = Annotated[
-    bool,
-    typer.Option(
-        "--confirm", help="Synthesise the size that --fit predicts; takes minutes for a large part."
-    ),
-]
-
-
 CAVEATS = {
     Family.XC7: " That of a 7-series part is another and needs the vendor's tools.",
     Family.GOWIN: " Its authors found rates for Gowin's parts some 20 % above those of the vendor's tools.",
@@ -65,17 +29,48 @@ CAVEATS = {
 
 
 def command(
-    env_id: SomeEnv = None,
-    every: Every = False,
-    n_envs: Sizes = ["1024"],  # noqa: B006 - Typer copies it
-    pe_num: PeNum = None,
-    data_wl: DataWl = None,
-    part: PartFamily = Family.XC7,
+    env_id: Annotated[
+        str | None, typer.Argument(metavar="[ENV]", help="An environment of `pearl envs`.")
+    ] = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="Synthesise every environment, at the first size.")
+    ] = False,
+    n_envs: Annotated[
+        list[str],
+        typer.Option(
+            metavar="N[,N...]",
+            help="Number of slots (worlds) of the design; several give a table of how it grows.",
+        ),
+    ] = ["1024"],  # noqa: B006 - Typer copies it
+    pe_num: Annotated[
+        int | None,
+        typer.Option(help="Number of processing elements; by default as many as the words can feed."),
+    ] = None,
+    data_wl: Annotated[
+        int | None,
+        typer.Option(help="Bits of a word; by default wide enough to carry one group of slots per cycle."),
+    ] = None,
+    part: Annotated[Family, typer.Option(help="The family of FPGA to synthesise for.")] = Family.XC7,
     policy: common.EnginePolicy = None,
     option: common.Options = None,
-    fmax: Fmax = False,
-    fit: FitPart = None,
-    confirmed: Confirm = False,
+    fmax: Annotated[
+        bool,
+        typer.Option(
+            "--fmax",
+            help="Also place and route each size, to find its clock rate; designs for xc7 are placed on an "
+            "ECP5.",
+        ),
+    ] = False,
+    fit: Annotated[
+        str | None,
+        typer.Option(metavar="|".join(PARTS), help="Find the largest --n-envs whose memories fit this part."),
+    ] = None,
+    confirmed: Annotated[
+        bool,
+        typer.Option(
+            "--confirm", help="Synthesise the size that --fit predicts; takes minutes for a large part."
+        ),
+    ] = False,
     out: common.Out = None,
     as_json: common.AsJson = False,
 ) -> None:

@@ -22,97 +22,88 @@ ALGORITHMS = ("ppo", "pqn", "dqn", "q-learning", "ippo", "mappo", "iql", "vdn", 
 REMEMBERING = ("ppo", "ippo", "mappo", "pqn", "vdn", "qmix", "self-play")
 """Those that learn policies with memory."""
 
-Algorithm = Annotated[
-    str | None,
-    typer.Option(
-        help="`ppo`, `pqn`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `vdn`, `qmix`, "
-        "`self-play`.",
-        autocompletion=common.completed(lambda: ALGORITHMS),
-        show_default="that of the environment's first preset, else `ppo`; with --quantize `ppo`",
-    ),
-]
-Agents = Annotated[
-    int | None, typer.Option(help="Number of agents that gather experience.", show_default="preset")
-]
-Iterations = Annotated[int | None, typer.Option(help="Number of updates.", show_default="preset")]
-Memory = Annotated[
-    str | None,
-    typer.Option(
-        help="Memory of the policy: `none` or `gru`; not with `dqn`, `iql` and `q-learning`.",
-        show_default="none",
-    ),
-]
-Given = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help="A setting of the algorithm, for example `learning_rate=0.001`; may be repeated. "
-        "docs/training.md lists them.",
-    ),
-]
-Goal = Annotated[
-    float | None, typer.Option(help="End when an evaluation reaches this mean return of an agent.")
-]
-Every = Annotated[
-    int | None, typer.Option(help="Iterations between evaluations.", show_default="50 evaluations")
-]
-Shards = Annotated[
-    int | None,
-    typer.Option(
-        help="Number of Ray processes that step agents; `ppo` and `pqn`.", show_default="this process"
-    ),
-]
-Seeds = Annotated[
-    int | None,
-    typer.Option(
-        help="Train so many seeds at once, from --seed on, each in a folder of its own.", show_default="one"
-    ),
-]
-Films = Annotated[
-    bool,
-    typer.Option("--films", help="Film the policy at each evaluation: a GIF each, in the folder `films`."),
-]
-Track = Annotated[
-    str | None,
-    typer.Option(
-        metavar="SERVICE",
-        help="Send the metrics to `wandb` (Weights & Biases) or `mlflow`, too, which has to be installed.",
-        show_default="only files",
-    ),
-]
-Quantize = Annotated[
-    bool,
-    typer.Option(
-        "--quantize", help="In the end, do `pearl quantize`: write the policy in integers, too, and compare."
-    ),
-]
-Folder = Annotated[
-    Path | None,
-    common.folder_option(
-        "The run's folder; if it holds an unfinished run, the command continues it.", "out/ENV-ALGORITHM"
-    ),
-]
-
 
 def command(
     env_id: common.EnvName,
-    algo: Algorithm = None,
-    n_agents: Agents = None,
-    iterations: Iterations = None,
-    memory: Memory = None,
-    setting: Given = None,
+    algo: Annotated[
+        str | None,
+        typer.Option(
+            help="`ppo`, `pqn`, `dqn`, `q-learning`; in worlds also `ippo`, `mappo`, `iql`, `vdn`, `qmix`, "
+            "`self-play`.",
+            autocompletion=common.completed(lambda: ALGORITHMS),
+            show_default="that of the environment's first preset, else `ppo`; with --quantize `ppo`",
+        ),
+    ] = None,
+    n_agents: Annotated[
+        int | None, typer.Option(help="Number of agents that gather experience.", show_default="preset")
+    ] = None,
+    iterations: Annotated[int | None, typer.Option(help="Number of updates.", show_default="preset")] = None,
+    memory: Annotated[
+        str | None,
+        typer.Option(
+            help="Memory of the policy: `none` or `gru`; not with `dqn`, `iql` and `q-learning`.",
+            show_default="none",
+        ),
+    ] = None,
+    setting: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="A setting of the algorithm, for example `learning_rate=0.001`; may be repeated. "
+            "docs/training.md lists them.",
+        ),
+    ] = None,
     seed: common.Seed = 0,
     device: common.DeviceName = "native",
-    goal: Goal = None,
-    evaluate_every: Every = None,
-    shards: Shards = None,
-    seeds: Seeds = None,
-    films: Films = False,
-    track: Track = None,
-    quantize: Quantize = False,
+    goal: Annotated[
+        float | None, typer.Option(help="End when an evaluation reaches this mean return of an agent.")
+    ] = None,
+    evaluate_every: Annotated[
+        int | None, typer.Option(help="Iterations between evaluations.", show_default="50 evaluations")
+    ] = None,
+    shards: Annotated[
+        int | None,
+        typer.Option(
+            help="Number of Ray processes that step agents; `ppo` and `pqn`.", show_default="this process"
+        ),
+    ] = None,
+    seeds: Annotated[
+        int | None,
+        typer.Option(
+            help="Train so many seeds at once, from --seed on, each in a folder of its own.",
+            show_default="one",
+        ),
+    ] = None,
+    films: Annotated[
+        bool,
+        typer.Option(
+            "--films", help="Film the policy at each evaluation: a GIF each, in the folder `films`."
+        ),
+    ] = False,
+    track: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SERVICE",
+            help="Send the metrics to `wandb` (Weights & Biases) or `mlflow`, too, which has to be "
+            "installed.",
+            show_default="only files",
+        ),
+    ] = None,
+    quantize: Annotated[
+        bool,
+        typer.Option(
+            "--quantize",
+            help="In the end, do `pearl quantize`: write the policy in integers, too, and compare.",
+        ),
+    ] = False,
     option: common.Options = None,
-    out: Folder = None,
+    out: Annotated[
+        Path | None,
+        common.folder_option(
+            "The run's folder; if it holds an unfinished run, the command continues it.", "out/ENV-ALGORITHM"
+        ),
+    ] = None,
     as_json: common.AsJson = False,
 ) -> None:
     """Train a policy that all agents share; with the --out of a run that was killed, resume it."""

@@ -29,71 +29,63 @@ Autoreset = StrEnum("Autoreset", {"SAME_STEP": "same-step", "NEXT_STEP": "next-s
 """The modes of a device, as the command line writes them."""
 Starts = StrEnum("Starts", ["RANDOM", "STORED"])
 """The initial states of a device."""
-Subject = Annotated[
-    str, typer.Argument(metavar="ENV|FILE", help="An environment of `pearl envs`, or a replay file.")
-]
-EnvOfFile = Annotated[
-    str | None,
-    typer.Option(
-        metavar="PACKAGE:ENV", help="The environment of a replay file, where it is of a package of yours."
-    ),
-]
-DeviceToCheck = Annotated[
-    str | None, typer.Option(help="The device to check.", show_default="native, or the file's")
-]
-ReferenceName = Annotated[
-    str | None,
-    typer.Option(
-        help="What it must agree with: `reference` (the golden functions) or another device.",
-        show_default="reference, or the file's",
-    ),
-]
-Against = Annotated[
-    str | None,
-    typer.Option(
-        metavar="PACKAGE:CLASS|ID",
-        help="Compare the golden functions with the environment that they follow, not a device with them.",
-    ),
-]
-OptionOfOriginal = Annotated[
-    list[str] | None,
-    typer.Option(metavar="NAME=VALUE", help="An argument of the original of --against; may be repeated."),
-]
 ABOUT = 1024
 """How many agents are compared by default: the reference steps them one by one, in Python."""
-Agents = Annotated[int | None, common.agents_option(ABOUT)]
 STEPS = 300
-StepsOfAll = Annotated[
-    int, typer.Option(min=1, max=MANY, help="Number of steps of every agent, divided among the modes.")
-]
-MaxCycles = Annotated[int | None, common.max_cycles_option("both")]
-Mode = Annotated[
-    Autoreset | None, typer.Option(help="When a world that ended starts again.", show_default="both")
-]
-RolledOut = Annotated[
-    str | None,
-    common.device_policy_option(
-        "Do rollouts of this policy, not steps with random actions; the device `rtl` gets an engine for it."
-    ),
-]
-InitialStates = Annotated[Starts | None, typer.Option(help="Where episodes begin.", show_default="both")]
 
 
 def command(
-    subject: Subject,
-    device: DeviceToCheck = None,
-    reference: ReferenceName = None,
-    n_agents: Agents = None,
-    steps: StepsOfAll = STEPS,
+    subject: Annotated[
+        str, typer.Argument(metavar="ENV|FILE", help="An environment of `pearl envs`, or a replay file.")
+    ],
+    device: Annotated[
+        str | None, typer.Option(help="The device to check.", show_default="native, or the file's")
+    ] = None,
+    reference: Annotated[
+        str | None,
+        typer.Option(
+            help="What it must agree with: `reference` (the golden functions) or another device.",
+            show_default="reference, or the file's",
+        ),
+    ] = None,
+    n_agents: Annotated[int | None, common.agents_option(ABOUT)] = None,
+    steps: Annotated[
+        int, typer.Option(min=1, max=MANY, help="Number of steps of every agent, divided among the modes.")
+    ] = STEPS,
     seed: common.Seed = 0,
-    max_cycles: MaxCycles = None,
-    autoreset_mode: Mode = None,
-    initial_states: InitialStates = None,
-    policy: RolledOut = None,
+    max_cycles: Annotated[int | None, common.max_cycles_option("both")] = None,
+    autoreset_mode: Annotated[
+        Autoreset | None, typer.Option(help="When a world that ended starts again.", show_default="both")
+    ] = None,
+    initial_states: Annotated[
+        Starts | None, typer.Option(help="Where episodes begin.", show_default="both")
+    ] = None,
+    policy: Annotated[
+        str | None,
+        common.device_policy_option(
+            "Do rollouts of this policy, not steps with random actions; the device `rtl` gets an engine for "
+            "it."
+        ),
+    ] = None,
     option: common.Options = None,
-    env: EnvOfFile = None,
-    against: Against = None,
-    original_option: OptionOfOriginal = None,
+    env: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PACKAGE:ENV", help="The environment of a replay file, where it is of a package of yours."
+        ),
+    ] = None,
+    against: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PACKAGE:CLASS|ID",
+            help="Compare the golden functions with the environment that they follow, not a device with "
+            "them.",
+        ),
+    ] = None,
+    original_option: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="An argument of the original of --against; may be repeated."),
+    ] = None,
     out: common.Out = None,
     as_json: common.AsJson = False,
 ) -> None:

@@ -13,13 +13,15 @@ from pearl_marl.cli.common import console
 from pearl_marl.envs import names
 from pearl_marl.errors import ArgumentError
 
-SomeEnvs = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="[ENV ...]", help="Environments of `pearl envs`; without any, all of them."),
-]
 
-
-def command(env_ids: SomeEnvs = None, option: common.Options = None, as_json: common.AsJson = False) -> None:
+def command(
+    env_ids: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[ENV ...]", help="Environments of `pearl envs`; without any, all of them."),
+    ] = None,
+    option: common.Options = None,
+    as_json: common.AsJson = False,
+) -> None:
     """Compile ahead, for images and clusters: some environments, or all and the trainers."""
     from pearl_marl.base.cache import cache_folder, is_kept
     from pearl_marl.devices.warming import Warmed, warm_all
