@@ -296,12 +296,7 @@ def _gymnax(spec: EnvSpec, count: int) -> Step:
     env, params = gymnax_of(spec)
     import jax
 
-    def reset(key: Any) -> Any:
-        return env.reset(key, params)
-
-    def step(key: Any, state: Any, action: Any) -> Any:
-        return env.step(key, state, action, params)
-
+    reset, step = (partial(call, params=params) for call in (env.reset, env.step))
     return _compiled(jax, reset, step, random_actions(spec, np.random.default_rng(0), count), count)
 
 
