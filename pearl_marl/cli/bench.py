@@ -262,7 +262,13 @@ def _measured(
     spec: EnvSpec, n: int, rows: list[Contender], small: list[Contender], rounds: int, seconds: float
 ) -> dict[str, Any]:
     """Time contenders, those of ``small`` for one agent; return all that a figure needs with it."""
-    timed = rows + small
+    timed, k, steps = rows + small, spec.agents, None
+    if k > 1:
+        which = ", even though they take turns" if spec.turns else ""
+        steps = f"{n // k:,} worlds of {k} agents: a step of a world is {k} agent-steps{which}."
+    actions = "The same random actions again and again."
+    if spec.mask_fields:
+        actions = "All agents take random legal actions, and choosing them is not timed."
     turns = len(timed) * (rounds + 1)
     for _ in common.progress(measure(timed, rounds, seconds), turns, f"{spec.name}, {n:,} agents"):
         pass
@@ -270,26 +276,14 @@ def _measured(
         "environment": spec.id,
         "options": dict(spec.options),
         "agents_per_world": spec.agents,
-        **_counted(spec, n),
+        "steps_of": steps,
+        "actions": actions,
         "date": datetime.date.today().isoformat(),
         "machine": machine(),
         "rounds": rounds,
         "contenders": [c.row() for c in rows],
         "one_agent": [c.row() for c in small],
     }
-
-
-def _counted(spec: EnvSpec, n: int) -> dict[str, str | None]:
-    """Return what is counted as a step, where worlds have several agents, and which actions are taken."""
-    worlds, steps = n // spec.agents, None
-    if spec.agents > 1:
-        which = ", even though they take turns" if spec.turns else ""
-        k = spec.agents
-        steps = f"{worlds:,} worlds of {k} agents: a step of a world is {k} agent-steps{which}."
-    actions = "The same random actions again and again."
-    if spec.mask_fields:
-        actions = "All agents take random legal actions, and choosing them is not timed."
-    return {"steps_of": steps, "actions": actions}
 
 
 def _medians(result: dict[str, Any]) -> str:

@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from pearl_marl.base.files import claimed
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console
 from pearl_marl.hardware import boards
-from pearl_marl.hardware.boards import BOARDS, Board, Placed
+from pearl_marl.hardware.boards import BOARDS, Placed
 
 
 def command(
@@ -53,14 +52,10 @@ def command(
         common.say(f"{title}. Wrote {len(files)} files into {out}. The bitstream is Vivado's to make:")
         common.say(f"cd {out} && vivado -mode batch -source build.tcl")
     else:
-        console.print(_table(title, board, placed))
+        grid = common.table(title, [], ["clock", "Fmax", "LUT", "FF", "block RAM", "DSP"])
+        used = (f"{getattr(placed, name):,} of {count:,}" for name, count in placed.available.items())
+        grid.add_row(f"{board.clock_mhz:g} MHz", f"{placed.fmax_mhz:.1f} MHz", *used)
+        console.print(grid)
         common.say(
             f"Wrote {out / board.bitstream}; openFPGALoader -b {board.name} {out / board.bitstream} loads it."
         )
-
-
-def _table(title: str, board: Board, placed: Placed) -> Table:
-    grid = common.table(title, [], ["clock", "Fmax", "LUT", "FF", "block RAM", "DSP"])
-    used = (f"{getattr(placed, name):,} of {count:,}" for name, count in placed.available.items())
-    grid.add_row(f"{board.clock_mhz:g} MHz", f"{placed.fmax_mhz:.1f} MHz", *used)
-    return grid

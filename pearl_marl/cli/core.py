@@ -10,7 +10,7 @@ import typer
 from pearl_marl.base.files import replace_file
 from pearl_marl.cli import common
 from pearl_marl.cli.common import console, error_console
-from pearl_marl.compiler.cores import Core, generated_core
+from pearl_marl.compiler.cores import generated_core
 from pearl_marl.compiler.targets import FAMILIES, Target
 from pearl_marl.errors import ArgumentError
 
@@ -66,16 +66,13 @@ def command(
         return
     if out is None:
         typer.echo(core.text, nl=False)
-    (error_console if out is None else console).print(_sentence(core), soft_wrap=True)
-    for path in (out, graph):
-        if path is not None:
-            error_console.print(f"Wrote {path}.", soft_wrap=True, markup=False)
-
-
-def _sentence(core: Core) -> str:
-    return (
+    (error_console if out is None else console).print(
         f"Latency {common.counted(core.latency, 'cycle')}, one result a cycle; "
         f"{common.counted(core.register_bits, 'register bit')}, "
         f"{common.counted(core.multipliers, 'multiplier')}, "
-        f"{core.levels:.1f} levels of logic in the slowest stage (estimated)."
+        f"{core.levels:.1f} levels of logic in the slowest stage (estimated).",
+        soft_wrap=True,
     )
+    for path in (out, graph):
+        if path is not None:
+            error_console.print(f"Wrote {path}.", soft_wrap=True, markup=False)

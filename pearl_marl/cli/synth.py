@@ -157,16 +157,13 @@ def _every(
     usages = [(build.spec, synthesise(build, part)) for build in work]
     result = [{"environment": spec.id, "family": str(part), **usage.as_json()} for spec, usage in usages]
     if not common.delivered(result, as_json, out, file):
-        console.print(_table_of_all(f"{n_envs:,} slots, {part}", usages))
+        columns = ["PEs", "word", "LUT", "FF", "BRAM36", "DSP"]
+        grid = common.table(f"{n_envs:,} slots, {part}", ["environment"], columns)
+        for spec, usage in usages:
+            figures = (f"{figure:,}" for figure in (usage.pe_num, usage.data_wl, usage.lut, usage.ff))
+            grid.add_row(spec.name, *figures, f"{usage.bram36:g}", f"{usage.dsp}")
+        console.print(grid)
     _exit_if_misplaced(usages)
-
-
-def _table_of_all(title: str, usages: list[tuple[EnvSpec, Usage]]) -> Table:
-    grid = common.table(title, ["environment"], ["PEs", "word", "LUT", "FF", "BRAM36", "DSP"])
-    for spec, usage in usages:
-        figures = (usage.pe_num, usage.data_wl, usage.lut, usage.ff)
-        grid.add_row(spec.name, *(f"{figure:,}" for figure in figures), f"{usage.bram36:g}", f"{usage.dsp}")
-    return grid
 
 
 def _numbers(texts: list[str]) -> list[int]:

@@ -196,7 +196,9 @@ def _train(run: Any, title: str, iterations: int) -> None:
             with interrupts.later(keeping):
                 row = run.iterate()
             if row is not None:
-                bar.update(task, completed=run.done, note=_note(row))
+                trained = row["train_return"]
+                more = "" if trained is None else f", in training {trained:.1f}"
+                bar.update(task, completed=run.done, note=f"return {row['eval_return']:.1f}{more}")
             if interrupts.noted and not run.finished:
                 run.keep()
                 raise KeyboardInterrupt
@@ -219,9 +221,3 @@ def _tell_spread(population: Any, env_id: str, algorithm: str, as_json: bool) ->
         f"Mean returns {last['least']:.2f} to {last['greatest']:.2f}, median {last['median']:.2f}.{at_goal} "
         f"Wrote {population.folder}: seed-*, spread.csv, learning_curves.png"
     )
-
-
-def _note(row: dict[str, Any]) -> str:
-    """Return the text of the progress bar after an evaluation."""
-    trained = row["train_return"]
-    return f"return {row['eval_return']:.1f}" + ("" if trained is None else f", in training {trained:.1f}")
