@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -38,19 +37,14 @@ def contenders(run: Path, network: IntegerNetwork, n: int) -> list[Contender]:
     evaluation = partial(_evaluation, run, network.spec, n)
     steps = evaluation().steps
     sizes = "a network of the same sizes"
-    envpool, gymnax = (
-        f"{sizes} in torch, on one thread; EnvPool, on all cores",
-        f"{sizes} in JAX; on all cores",
-    )
-    ours: dict[str, tuple[str, int, Callable[[], Step]]] = {
-        "rollout": (f"{integers}; one thread", n * STEPS, partial(_rollout, network, n, 1)),
-        f"rollout, threads={cores}": (integers, n * STEPS, partial(_rollout, network, n, cores)),
-        "policy, then step": (floats, n, partial(_through_host, run, network.spec, n)),
-        "pearl eval": (evaluated, n * steps, lambda: evaluation),
-    }
-    rows = [Contender(name, counts, size, make, ours=True) for name, (counts, size, make) in ours.items()]
+    envpool = f"{sizes} in torch, on one thread; EnvPool, on all cores"
+    gymnax = f"{sizes} in JAX; on all cores"
+    own = partial(Contender, ours=True)
     return [
-        *rows,
+        own("rollout", f"{integers}; one thread", n * STEPS, partial(_rollout, network, n, 1)),
+        own(f"rollout, threads={cores}", integers, n * STEPS, partial(_rollout, network, n, cores)),
+        own("policy, then step", floats, n, partial(_through_host, run, network.spec, n)),
+        own("pearl eval", evaluated, n * steps, lambda: evaluation),
         Contender("EnvPool, torch", envpool, n, partial(_envpool, network, n)),
         Contender("gymnax, JAX", gymnax, n * STEPS, partial(gymnax_rollout, network, n)),
     ]
