@@ -253,11 +253,11 @@ def progress(items: Iterable[T], total: int, label: str) -> Iterator[T]:
         yield from bar.track(items, total=total, description=label, update_period=0.2)
 
 
-def table(title: str, text: Iterable[str], figures: Iterable[str], **arguments: Any) -> Table:
+def table(title: str, text: Iterable[str], figures: Iterable[str]) -> Table:
     """Return an empty table: columns of text, then columns of figures, each as wide as what is in it."""
     from rich.table import Table
 
-    made = Table(title=title, **arguments)
+    made = Table(title=title)
     for heading in text:
         made.add_column(heading, no_wrap=True)
     for heading in figures:

@@ -172,7 +172,11 @@ def command(
         common.print_json(result)
     else:
         console.print(_table(escape(f"{spec.id} on {device}, compared with {reference}"), result["modes"]))
-        _say(parted, _verdict(result))
+        _say(
+            parted,
+            f"{device} is bit-exact with {reference} over {result['agent_steps']:,} agent-steps: "
+            f"{result['words']:,} words compared, {result['episodes']:,} episodes ended.",
+        )
         if path is not None:
             again = common.replaying(path, env=subject, device=device, reference=reference)
             common.say(f"Wrote {path}: {again} replays it.")
@@ -281,13 +285,6 @@ def _say(error: LockstepError | None, verdict: str) -> None:
         console.print(f"[bold green]{escape(verdict)}[/]", soft_wrap=True)
     else:
         console.print(f"[bold red]Not bit-exact.[/] {escape(str(error))}", soft_wrap=True)
-
-
-def _verdict(result: dict[str, Any]) -> str:
-    return (
-        f"{result['device']} is bit-exact with {result['reference']} over {result['agent_steps']:,} "
-        f"agent-steps: {result['words']:,} words compared, {result['episodes']:,} episodes ended."
-    )
 
 
 def _row(run: Run) -> dict[str, Any]:
