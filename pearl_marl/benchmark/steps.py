@@ -41,33 +41,26 @@ def contenders(spec: EnvSpec, n: int) -> list[Contender]:
     checked = "all result arrays, checked actions"
     kept = f"{checked}, yours to keep"
     unread, read = (partial(_pettingzoo, read=read) for read in (False, True))
-    here: list[tuple[str, str, Callable[[EnvSpec, Array], Step | Game]]] = [
-        ("kernel only", kernel, _kernel),
-        ("step_batch, copy=False", f"{checked}; one thread", partial(_batch, copy=False)),
-        ("step_batch", f"{kept}; one thread", _batch),
-        ("step_batch, int64 actions", f"{kept}; one thread", partial(_batch, dtype=np.int64)),
-        ("step_batch, threads=None", f"{kept}; as many threads as pay", partial(_batch, device=Native)),
-        ("PettingZoo step, array actions", "five dicts that are not read; one thread", unread),
-        ("PettingZoo step, dict actions", "five dicts, every key read; one thread", read),
-        ("Gymnasium VectorEnv step", "arrays and infos, int64 actions; one thread", _vector),
-        ("step_batch, device='rtl'", "the FPGA design under Verilator, by backdoor; one thread", simulated),
-        (
-            "(memory) filling the result arrays",
-            "writing zeros over what a step returns: the floor",
-            _write_results,
-        ),
-    ]
+    rtl = "the FPGA design under Verilator, by backdoor; one thread"
+    floor = "writing zeros over what a step returns: the floor"
     tensors = "all results, yours to keep, as tensors on the GPU; actions there"
-    on_gpu = [
-        ("kernel only, device='cuda'", kernel, _gpu_kernel),
-        ("step_batch, device='cuda'", tensors, _tensors),
-    ]
+
+    def ours(name: str, counts: str, make: Callable[[EnvSpec, Array], Step | Game], **more: Any) -> Contender:
+        return Contender(name, counts, n, partial(make, spec, actions), ours=True, **more)
+
     return [
-        *(Contender(name, counts, n, partial(make, spec, actions), ours=True) for name, counts, make in here),
-        *(
-            Contender(name, counts, n, partial(make, spec, actions), ours=True, wait=_wait_for_gpu)
-            for name, counts, make in on_gpu
-        ),
+        ours(KERNEL, kernel, _kernel),
+        ours("step_batch, copy=False", f"{checked}; one thread", partial(_batch, copy=False)),
+        ours(BATCH, f"{kept}; one thread", _batch),
+        ours("step_batch, int64 actions", f"{kept}; one thread", partial(_batch, dtype=np.int64)),
+        ours("step_batch, threads=None", f"{kept}; as many threads as pay", partial(_batch, device=Native)),
+        ours("PettingZoo step, array actions", "five dicts that are not read; one thread", unread),
+        ours("PettingZoo step, dict actions", "five dicts, every key read; one thread", read),
+        ours("Gymnasium VectorEnv step", "arrays and infos, int64 actions; one thread", _vector),
+        ours("step_batch, device='rtl'", rtl, simulated),
+        ours("(memory) filling the result arrays", floor, _write_results),
+        ours("kernel only, device='cuda'", kernel, _gpu_kernel, wait=_wait_for_gpu),
+        ours("step_batch, device='cuda'", tensors, _tensors, wait=_wait_for_gpu),
         *peers(spec, n),
     ]
 
