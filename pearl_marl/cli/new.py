@@ -6,7 +6,7 @@ import importlib.util
 import keyword
 import re
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -73,7 +73,7 @@ def command(
 
     words = {**own_words(name), WORLD: WORLD.replace("2", str(agents))}
     world = filled("world", words) if agents > 1 else {}
-    if _tell(folder, _write(folder, {**filled("environment", words), **world}), as_json):
+    if _write(folder, {**filled("environment", words), **world}, as_json):
         return
     console.print(
         f"It works as it is: [bold]cd {escape(str(folder))}[/], [bold]pip install -e '.\\[test]'[/], "
@@ -83,18 +83,6 @@ def command(
     )
 
 
-def _tell(folder: Path, paths: Iterable[Path], as_json: bool, **more: Any) -> bool:
-    """Say what was written; return whether that was all that is wanted, as JSON."""
-    written = [str(path.relative_to(folder)) for path in sorted(paths)]
-    if as_json:
-        common.print_json({"folder": str(folder), "files": written, **more})
-        return True
-    say(f"Wrote {folder}:")
-    for path in written:
-        say(f"  {path}")
-    return False
-
-
 def _follow(
     name: str, original_name: str, options: dict[str, Any], rules: bool, folder: Path, as_json: bool
 ) -> None:
@@ -102,10 +90,10 @@ def _follow(
     from pearl_marl.porting.making import made
 
     package = made(name, original_name, options, rules)
-    paths = _write(folder, package.files)
-    if _tell(folder, paths, as_json, original=original_name, whole=package.whole, why=package.why):
+    more = {"original": original_name, "whole": package.whole, "why": package.why}
+    if _write(folder, package.files, as_json, **more):
         return
-    say(f"{package.said}")
+    say(package.said)
     snake = snake_case(name)
     install = f"[bold]cd {escape(str(folder))}[/], [bold]pip install -e '.\\[test]'[/]"
     if package.whole:
@@ -120,21 +108,29 @@ def _follow(
         console.print(f"Go on: {install}, and read [bold]PORTING.md[/].", soft_wrap=True)
 
 
-def _write(folder: Path, files: Mapping[str, str | bytes]) -> list[Path]:
-    """Write files by their paths in a new folder; if that fails, nothing of it stays."""
-    paths = []
+def _write(folder: Path, files: Mapping[str, str | bytes], as_json: bool, **more: Any) -> bool:
+    """Write files by their paths in a new folder, and say so; return whether that was all, as JSON.
+
+    If that fails, nothing of it stays.
+    """
     try:
         for relative, content in files.items():
             path = folder / relative
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content if isinstance(content, bytes) else content.encode())
-            paths.append(path)
     except OSError as error:
         shutil.rmtree(folder, ignore_errors=True)  # half a package would be in the way of the next try
         raise ArgumentError(
             f"{folder} cannot be written: {error.strerror}; make room for it, or choose another --out"
         ) from None
-    return paths
+    written = [str(path) for path in sorted(map(Path, files))]
+    if as_json:
+        common.print_json({"folder": str(folder), "files": written, **more})
+        return True
+    say(f"Wrote {folder}:")
+    for name in written:
+        say(f"  {name}")
+    return False
 
 
 def _checked(name: str, out: Path) -> Path:
