@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -21,9 +20,7 @@ from pearl_marl.hardware.elaboration import clocked
 from pearl_marl.hardware.fitting import PARTS
 from pearl_marl.latency import LINKS, Link, loop_cycles
 from pearl_marl.latency.planning import Plan, plan
-from pearl_marl.latency.rollout_planning import plan_rollouts
-from pearl_marl.policies.device_policy import DevicePolicy
-from pearl_marl.spec import EnvSpec
+from pearl_marl.latency.rollout_planning import RolloutCandidate, plan_rollouts
 
 ANY = "any"
 """The ``--part`` that everything fits."""
@@ -73,7 +70,24 @@ def command(
     checked_choice("--part", part, (*PARTS, ANY))
     acting = common.device_policy(policy, spec)
     if acting is not None:
-        _for_rollouts(spec, str(policy), acting, n_envs, part, clock, pe_num, data_wl, out, as_json)
+        if (acting.spec.id, acting.spec.options) != (spec.id, spec.options):
+            raise ArgumentError(f"{policy} is for {acting.spec.id}, and the plan for {spec.id}")
+        file = f"plan_rollouts_{spec.name}_{n_envs}.json"
+        common.check_results(out, file)
+        plans = plan_rollouts(acting, n_envs, clock * 1e6, PARTS.get(part), pe_num, data_wl)
+        result: dict[str, Any] = {
+            "environment": spec.id,
+            "options": dict(spec.options),
+            "policy": policy,
+            "n_envs": n_envs,
+            "clock_mhz": clock,
+            "part": part,
+            "chosen": plans[0].as_json(),
+            "candidates": [candidate.as_json() for candidate in plans],
+            "machine": machine(),
+        }
+        if not common.delivered(result, as_json, out, file):
+            _show_rollouts(f"{spec.id}, {n_envs:,} slots: rollouts at {clock:g} MHz", plans, part)
         return
     taken = _link(link)
     file = f"plan_{spec.name}_{n_envs}.json"
@@ -115,42 +129,11 @@ def command(
         console.print(sentence, soft_wrap=True)
 
 
-def _for_rollouts(
-    spec: EnvSpec,
-    policy_name: str,
-    policy: DevicePolicy,
-    n_envs: int,
-    part: str,
-    clock: float,
-    pe_num: int | None,
-    data_wl: int | None,
-    out: Path | None,
-    as_json: bool,
-) -> None:
-    """Plan for rollouts of a policy."""
-    if (policy.spec.id, policy.spec.options) != (spec.id, spec.options):
-        raise ArgumentError(f"{policy_name} is for {policy.spec.id}, and the plan for {spec.id}")
-    name = f"plan_rollouts_{spec.name}_{n_envs}.json"
-    common.check_results(out, name)
-    found = plan_rollouts(policy, n_envs, clock * 1e6, PARTS.get(part), pe_num, data_wl)
-    best, *_ = found
-    result = {
-        "environment": spec.id,
-        "options": dict(spec.options),
-        "policy": policy_name,
-        "n_envs": n_envs,
-        "clock_mhz": clock,
-        "part": part,
-        "chosen": best.as_json(),
-        "candidates": [candidate.as_json() for candidate in found],
-        "machine": machine(),
-    }
-    if common.delivered(result, as_json, out, name):
-        return
-    columns = ["PEs", "side", "cycles", "steps/s", "core DSP", "engine DSP"]
-    grid = common.table(f"{spec.id}, {n_envs:,} slots: rollouts at {clock:g} MHz", [], columns)
+def _show_rollouts(title: str, plans: list[RolloutCandidate], part: str) -> None:
+    best = plans[0]
+    grid = common.table(title, [], ["PEs", "side", "cycles", "steps/s", "core DSP", "engine DSP"])
     grid.add_column("limit", no_wrap=True)
-    for candidate in sorted(found, key=lambda one: one.layout.pe_num):
+    for candidate in sorted(plans, key=lambda one: one.layout.pe_num):
         engine, chosen = candidate.layout.engine, candidate is best
         side = "-" if engine is None or not engine.is_network else f"{engine.side:,}"
         figures = (candidate.layout.pe_num, candidate.cycles, candidate.core_dsp, candidate.engine_dsp)
