@@ -112,7 +112,7 @@ def command(
                 f"{subject} is one recorded call: of the options, it takes --env, --device, --reference and "
                 "--json"
             )
-        _replay(_recorded(Path(subject), env), device, reference, as_json)
+        _replay(Path(subject), env, device, reference, as_json)
         return
     if env is not None:
         raise ArgumentError(f"--env is for a replay file, and {subject} is none: leave it out")
@@ -242,16 +242,12 @@ def _smallest(recorded: Replay, device: str, reference: str) -> Replay:
     return alone if again is not None and again.field == recorded.divergence.field else recorded
 
 
-def _recorded(path: Path, env: str | None) -> Replay:
-    """Read a replay file; ``env`` is imported first, as nothing is that the file itself names."""
+def _replay(path: Path, env: str | None, device: str | None, reference: str | None, as_json: bool) -> None:
+    """Replay a file; ``env`` is imported first, as nothing is that the file itself names."""
     spec = None if env is None else get_spec(env)
-    recorded = Replay.read(path)
-    if spec is not None and recorded.config.spec.id != spec.id:
-        raise ArgumentError(f"--env is {env}, and {path} is of {recorded.config.spec.id}")
-    return recorded
-
-
-def _replay(recorded_call: Replay, device: str | None, reference: str | None, as_json: bool) -> None:
+    recorded_call = Replay.read(path)
+    if spec is not None and recorded_call.config.spec.id != spec.id:
+        raise ArgumentError(f"--env is {env}, and {path} is of {recorded_call.config.spec.id}")
     recorded = recorded_call.divergence
     for option, given, there in (
         ("--device", device, recorded.device),
