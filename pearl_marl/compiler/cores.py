@@ -6,12 +6,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-from pearl_marl.compiler.core_graph import Output, act_graph, core_graph, show_graph
+from pearl_marl.compiler.core_graph import CoreGraph, Output, act_graph, core_graph, show_graph
 from pearl_marl.compiler.drawing import drawing
 from pearl_marl.compiler.lowering import lowered
 from pearl_marl.compiler.scheduling import Schedule, scheduled
 from pearl_marl.compiler.targets import Target
-from pearl_marl.compiler.verilog import act_system_verilog, show_system_verilog, system_verilog
+from pearl_marl.compiler.verilog import system_verilog, view_system_verilog
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.golden.tracing.nodes import in_order
 from pearl_marl.spec import EnvSpec, snake_case
@@ -49,10 +49,8 @@ def generated_core(spec: EnvSpec, target: Target, name: str | None = None) -> Co
     ArgumentError
         The golden functions do what no hardware can; the message names the file and the line.
     """
-    outputs = _operations(spec, target)
-    schedule = scheduled(outputs, target)
-    text = system_verilog(spec, name or core_name(spec), outputs, schedule, _about(spec, target))
-    return _core(text, spec.name, outputs, schedule)
+    write = partial(system_verilog, spec, name or core_name(spec))
+    return _core(spec, spec.name, core_graph(spec), target, write)
 
 
 ACT = "pearl_act"
@@ -61,10 +59,8 @@ ACT = "pearl_act"
 
 def generated_act(spec: EnvSpec, act: GoldenFunction, draws: int, target: Target) -> Core:
     """Return the core of a policy, of what :func:`pearl_marl.compiler.core_graph.act_graph` takes."""
-    outputs = lowered(*act_graph(spec, act, draws), target)
-    schedule = scheduled(outputs, target)
-    text = act_system_verilog(spec, draws, ACT, outputs, schedule, _about(spec, target))
-    return _core(text, f"A policy for {spec.name}", outputs, schedule)
+    write = partial(view_system_verilog, spec, draws, ACT)
+    return _core(spec, f"A policy for {spec.name}", act_graph(spec, act, draws), target, write)
 
 
 SHOW = "pearl_show"
@@ -73,23 +69,25 @@ SHOW = "pearl_show"
 
 def generated_show(spec: EnvSpec, target: Target) -> Core:
     """Return the core of a spec's pictures, :func:`pearl_marl.compiler.core_graph.show_graph`."""
-    outputs = lowered(*show_graph(spec), target)
+    write = partial(view_system_verilog, spec, None, SHOW)
+    return _core(spec, f"A picture of {spec.name}", show_graph(spec), target, write)
+
+
+def _core(
+    spec: EnvSpec,
+    title: str,
+    graph: CoreGraph,
+    target: Target,
+    write: Callable[[list[Output], Schedule, str], str],
+) -> Core:
+    outputs = lowered(*graph, target)
     schedule = scheduled(outputs, target)
-    text = show_system_verilog(spec, SHOW, outputs, schedule, _about(spec, target))
-    return _core(text, f"A picture of {spec.name}", outputs, schedule)
-
-
-def _about(spec: EnvSpec, target: Target) -> list[str]:
     options = ", ".join(f"{option}={value!r}" for option, value in spec.options.items())
     options = " ".join(options.encode("ascii", "backslashreplace").decode().split())  # it is a line's remark
-    return [f"{spec.id}({options}), for {target.name} at {target.mhz:g} MHz."]
-
-
-def _core(text: str, title: str, outputs: list[Output], schedule: Schedule) -> Core:
-    target = schedule.target
+    made_for = f"{target.name} at {target.mhz:g} MHz"
     return Core(
-        text=text,
-        picture=partial(drawing, f"{title}, {target.name} at {target.mhz:g} MHz", outputs, schedule),
+        text=write(outputs, schedule, f"// {spec.id}({options}), for {made_for}."),
+        picture=partial(drawing, f"{title}, {made_for}", outputs, schedule),
         latency=schedule.latency,
         register_bits=schedule.register_bits,
         multipliers=sum(node.op == "mul" for node in schedule.order),
@@ -108,8 +106,5 @@ def core_name(spec: EnvSpec) -> str:
 
 def multipliers(spec: EnvSpec, target: Target) -> int:
     """Return how many multipliers the core of :func:`generated_core` takes: known before it has stages."""
-    return sum(node.op == "mul" for node in in_order([o.node for o in _operations(spec, target)]))
-
-
-def _operations(spec: EnvSpec, target: Target) -> list[Output]:
-    return lowered(*core_graph(spec), target)
+    outputs = lowered(*core_graph(spec), target)
+    return sum(node.op == "mul" for node in in_order(o.node for o in outputs))
