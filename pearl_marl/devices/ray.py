@@ -32,8 +32,7 @@ from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.rewards import categories
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.step import BatchStep, Observed
-from pearl_marl.compiler.kernel_source import kernel_source
-from pearl_marl.compiler.kernels import kernel_name
+from pearl_marl.compiler.kernels import kernel_name, kernel_source
 from pearl_marl.devices import cluster
 from pearl_marl.devices.base import Device, Phase
 from pearl_marl.devices.by_name import make_distinct

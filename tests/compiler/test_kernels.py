@@ -25,7 +25,7 @@ import pearl_marl
 from pearl_marl.base.cache import cache_folder
 from pearl_marl.compiler import kernels
 from pearl_marl.compiler.cuda_source import PREFIXES, cuda_source
-from pearl_marl.compiler.kernel_source import kernel_source
+from pearl_marl.compiler.kernels import kernel_source
 from pearl_marl.compiler.loading import fingerprint
 from pearl_marl.devices import BatchConfig, Native
 from pearl_marl.golden import rng, u32

@@ -48,11 +48,11 @@ import numba
 import numpy as np
 import pearl_marl
 from pearl_marl.batch.actions import room_for_words
-from pearl_marl.compiler import kernel_source, kernels
+from pearl_marl.compiler import kernels
 from pearl_marl.devices import BatchConfig, Reference
 
 POISON = AssertionError("compiled")
-with mock.patch.object(kernel_source, "kernel_source", side_effect=POISON), \\
+with mock.patch.object(kernels, "kernel_source", side_effect=POISON), \\
         mock.patch.object(kernels, "load", side_effect=POISON), \\
         mock.patch.object(kernels, "compile_kernels", side_effect=POISON), \\
         mock.patch("numba.core.dispatcher.Dispatcher.compile", side_effect=POISON):
