@@ -418,22 +418,6 @@ class Code(Writer):
 
     def inline(self, function: Any, *arguments: Value | WordArray) -> Any:
         """Write a function that is plain Python over NumPy's words, and return its results."""
-        named = self._vocabulary
-
-        def meaning(value: Any) -> Any:
-            if isinstance(value, np.ndarray):
-                return self.table(value)
-            return named.get(getattr(value, "__name__", ""), value)
-
-        def with_range(function: Any) -> Any:
-            function.__globals__["range"] = self.range
-            return function
-
-        return rebound(function, meaning, with_range)(*arguments)
-
-    @property
-    def _vocabulary(self) -> dict[str, Any]:
-        """What the names of types and operations stand for in a function that is inlined."""
         named: dict[str, Any] = {str(t): partial(self.word, t) for t in NUMBERS}
         named["numpy"] = SimpleNamespace(**named)
         for t in INTEGERS:
@@ -443,7 +427,13 @@ class Code(Writer):
                 for name, make in COMPARISONS.items()
             }
             named[f"{t}_choose"] = partial(self.choose, t)
-        return named
+
+        def meaning(value: Any) -> Any:
+            if isinstance(value, np.ndarray):
+                return self.table(value)
+            return named.get(getattr(value, "__name__", ""), value)
+
+        return rebound(function, meaning, names={"range": self.range})(*arguments)
 
     def run(self, function: Callable[..., None], frame: Frame, *more: Hashable) -> None:
         """Write ``function(code, frame, *more)``; where that is long, compile it once, and write its call."""
