@@ -13,11 +13,11 @@ import pytest
 from gymnasium.spaces import Box, Discrete
 
 import pearl_marl
-from pearl_marl.compiler.loading import with_callees
 from pearl_marl.compiler.packing import packed
 from pearl_marl.devices import BatchConfig, make_device
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import Draws, Word
+from pearl_marl.golden.rebinding import rebound
 from pearl_marl.layout import Array, Bits, Flag, Range
 from pearl_marl.layout.positional import in_fixed_point
 from pearl_marl.spec import EnvSpec, Golden
@@ -200,7 +200,7 @@ def test_floats_in_fixed_point(floats: type) -> None:
     dtype = np.dtype(f"i{np.dtype(floats).itemsize}")
     rows = np.empty((2, len(FLOATS)), dtype)
     made.plain(3, 4, rows[0])  # type: ignore[attr-defined]
-    with_callees(made, {}, numba.njit)(3, 4, rows[1])
+    rebound(made, finish=numba.njit)(3, 4, rows[1])
     np.testing.assert_array_equal(*rows)
     assert rows[0, :4].tolist() == [7 << 16, 1 << 16, -(1 << 14), 6554]
     limits = np.iinfo(dtype)

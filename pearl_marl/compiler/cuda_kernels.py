@@ -21,8 +21,9 @@ from pearl_marl.base.machine_code import Entries
 from pearl_marl.compiler import scalar_words
 from pearl_marl.compiler.cuda_source import cuda_rollout_source, cuda_source
 from pearl_marl.compiler.kernels import functions, kernel_name
-from pearl_marl.compiler.loading import fingerprint, load, with_callees
+from pearl_marl.compiler.loading import fingerprint, load
 from pearl_marl.golden import GoldenFunction
+from pearl_marl.golden.rebinding import rebound
 from pearl_marl.spec import EnvSpec
 
 THREADS = 128
@@ -94,12 +95,11 @@ def _module(kind: str, spec: EnvSpec, source: str, others: dict[str, GoldenFunct
                 called["unpack"] = _of_wide_words(called["unpack"])
             called = {name: _wrapping(f) for name, f in {**called, **others}.items()}
         else:
-            kernel, inlined = partial(_kernel, cuda, name), partial(cuda.jit, device=True, forceinline=True)
+            kernel, compiled = partial(_kernel, cuda, name), partial(cuda.jit, device=True)
+            inlined = partial(compiled, forceinline=True)
             done: dict[types.FunctionType, Any] = {}
-            called = {name: with_callees(f, done, inlined) for name, f in called.items()}
-            called |= {
-                name: with_callees(f, done, partial(cuda.jit, device=True)) for name, f in others.items()
-            }
+            called = {name: rebound(f, finish=inlined, done=done) for name, f in called.items()}
+            called |= {name: rebound(f, finish=compiled, done=done) for name, f in others.items()}
         _loaded[key] = load(name, source, kernel=kernel, inlined=inlined, cuda=cuda, **called)
     return _loaded[key]
 

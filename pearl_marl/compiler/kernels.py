@@ -34,7 +34,7 @@ from pearl_marl.compiler import (
     llvm_words,
 )
 from pearl_marl.compiler.kernel_loops import KERNELS, KernelLoops
-from pearl_marl.compiler.loading import fingerprint, load, with_callees
+from pearl_marl.compiler.loading import fingerprint, load
 from pearl_marl.compiler.straight_line import golden_functions, orders
 from pearl_marl.golden import GoldenFunction, rebinding, rng
 from pearl_marl.spec import EnvSpec, Itself
@@ -205,4 +205,4 @@ def kernel_name(spec: EnvSpec, source: str, versions: Iterable[str]) -> str:
 
 def _compiled(function: GoldenFunction) -> Any:
     jit = partial(numba.njit, forceinline=_FORCE_INLINE, **_FOR_KERNELS)
-    return with_callees(function, dict(llvm_planes.REPLACEMENTS), jit)
+    return rebinding.rebound(function, finish=jit, done=dict(llvm_planes.REPLACEMENTS))

@@ -76,28 +76,6 @@ def compiled_loop(
     return made
 
 
-def with_callees(
-    function: Any, done: dict[types.FunctionType, Any], jit: Callable[[types.FunctionType], Any]
-) -> Any:
-    """Give a plain function to Numba, and with it every plain function that it calls.
-
-    Numba compiles a callee only if that is one of its own. So the function is made again by ``jit`` over
-    names that stand for compiled callees, and its author need know nothing of Numba. ``done`` keeps
-    what has been made already. What is no plain function is returned as it is.
-    """
-    if not isinstance(function, types.FunctionType):
-        return function
-    if function not in done:
-        code, named = function.__code__, function.__globals__
-        names = {name: with_callees(named[name], done, jit) for name in code.co_names if name in named}
-        cells = tuple(
-            types.CellType(with_callees(cell.cell_contents, done, jit)) for cell in function.__closure__ or ()
-        )
-        again = types.FunctionType(code, {**named, **names}, code.co_name, function.__defaults__, cells)
-        done[function] = jit(again)
-    return done[function]
-
-
 def fingerprint(function: GoldenFunction | type) -> bytes:
     """Hash what a function, or a class, computes: its code, and every function and constant that it names."""
     digest = hashlib.sha256()

@@ -19,10 +19,11 @@ from pearl_marl.compiler import addresses
 from pearl_marl.compiler.addresses import address_of, call_act, call_step
 from pearl_marl.compiler.kernel_loops import BLOCK, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import Kernels
-from pearl_marl.compiler.loading import compiled_loop, with_callees
+from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.devices import rollouts
 from pearl_marl.devices.rollouts import Sums
 from pearl_marl.golden import rng
+from pearl_marl.golden.rebinding import rebound
 from pearl_marl.golden.rng import CHAIN_A, CHAIN_B
 from pearl_marl.policies import dense_policy, device_policy, golden_policy, integer_loops
 from pearl_marl.policies.dense_policy import DenseNetwork
@@ -36,7 +37,7 @@ TICK, SEED_0, SEED_1, FIRST_SLOT, NEXT_STEP = map(
 )
 
 _jit: Any = numba.njit(error_model="numpy")
-key, draw = (with_callees(function, {}, _jit) for function in (rng.key, rng.draw))
+key, draw = (rebound(function, finish=_jit) for function in (rng.key, rng.draw))
 
 
 class StepArrays(NamedTuple):

@@ -26,18 +26,20 @@ _INSTEAD = {
 
 
 def rebound(
-    function: types.FunctionType,
-    change: Callable[[Any], Any],
+    function: Any,
+    change: Callable[[Any], Any] = lambda value: value,
     finish: Callable[[types.FunctionType], Any] = lambda function: function,
     code: Callable[[types.FunctionType], types.CodeType] = lambda function: function.__code__,
     names: Mapping[str, Any] = MappingProxyType({}),
+    done: dict[types.FunctionType, Any] | None = None,
 ) -> Any:
     """Return a function like this one in whose scope every other value is what ``change`` makes of it.
 
-    Functions in its scope are made again likewise. ``finish`` is applied to every function that was, ``code``
-    gives the code of each, and ``names`` are names that none of them defines, such as Python's own.
+    Functions in its scope are made again likewise. ``finish`` is applied to every function that was: Numba
+    compiles a callee only if that is one of its own. ``code`` gives the code of each, and ``names`` are names
+    that none of them defines, such as Python's own. ``done`` has what has been made already.
     """
-    done: dict[types.FunctionType, Any] = {}
+    done = {} if done is None else done
 
     def value(old: Any) -> Any:
         old = getattr(old, "py_func", old)  # what Numba has compiled already

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pearl_marl.compiler.llvm_planes import REPLACEMENTS
-from pearl_marl.compiler.loading import with_callees
+from pearl_marl.golden.rebinding import rebound
 from pearl_marl.planes import BoardCells, interleave, mark, mark_moving
 
 
@@ -16,7 +16,7 @@ def test_kernels_interleave_as_python_does(count: int) -> None:
     def unpack(first, second, row):
         interleave(first, second, count, row)
 
-    compiled = with_callees(unpack, dict(REPLACEMENTS), numba.njit)
+    compiled = rebound(unpack, finish=numba.njit, done=dict(REPLACEMENTS))
     boards = np.random.default_rng(count).integers(1 << 64, size=(20, 2), dtype=np.uint64)
     for first, second in boards:
         rows = np.full((2, 2 * count + 64), 7, np.int8)  # what lies behind a row stays as it is
@@ -34,7 +34,7 @@ def test_kernels_mark_as_python_does() -> None:
         mark_moving(alive, second, rightward, line, column, cells, (0, 2, 1), row)
         mark(second, line, column, -2, cells, 3, row)
 
-    compiled = with_callees(unpack, dict(REPLACEMENTS), numba.njit)
+    compiled = rebound(unpack, finish=numba.njit, done=dict(REPLACEMENTS))
     random = np.random.default_rng(7)
     for _ in range(20):
         alive, second, rightward, *planes = random.integers(1 << places, size=9, dtype=np.int64)
