@@ -3,7 +3,7 @@
 The result is a graph of the same integers, modulo the bits that are used. ``add``, ``sub``, ``mul``
 and ``divide`` have become ``sum``, of shifted and signed words and a constant, ``join``, of words side by
 side, and ``mul`` of words that one multiplier takes; ``narrow`` is a ``wrap`` at most, so that every node is
-within its range again, and a division by a word (:mod:`~pearl_marl.compiler.dividing`) a subtraction a bit.
+within its range again, and a division by a word a subtraction for each bit of the quotient.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from pearl_marl.compiler.core_graph import Output
-from pearl_marl.compiler.dividing import divided
 from pearl_marl.compiler.joining import MOST_DIGITS, digits_joined, rounding_joined
 from pearl_marl.compiler.targets import Target
 from pearl_marl.compiler.widths import used_bits, width
@@ -24,6 +23,9 @@ from pearl_marl.golden.tracing.operations import VALUES, bits_of
 
 CHEAP = 24
 """Bits to be added up to which a product takes no multiplier."""
+
+MOST_BITS = 6
+"""Bits of two words together up to which a division is a table."""
 
 
 class Term(NamedTuple):
@@ -136,11 +138,53 @@ class Lowering:
     def _divided(self, a: Node, by: Node) -> tuple[Node, Node]:
         """Return ``a // by`` and ``a % by``, of one divider for both."""
         if (a, by) not in self.divided:
-            self.divided[a, by] = divided(self.graph, a, by, self._sum_of)
+            self.divided[a, by] = self._by_hand(a, by)
         return self.divided[a, by]
 
-    def _sum_of(self, words: Sequence[tuple[int, Node]], constant: int, bits: int) -> Node:
-        return self._total([Term(sign, 0, node) for sign, node in words], constant, bits)
+    def _by_hand(self, a: Node, by: Node) -> tuple[Node, Node]:
+        """Return quotient and remainder, rounded down; if ``by`` is 0 they are others, which are not used."""
+        graph = self.graph
+        if a.bits + by.bits <= MOST_BITS:
+            return self._tables(a, by)
+        if a.low >= 0:
+            return self._steps(a, by)
+        # What is below 0 is divided as its complement, -1 - a, which is at least 0 and has one bit less.
+        sign = graph.wrap(graph.right(a, a.bits - 1), 1, False)
+        turned = graph.mask(sign)
+        whole = graph.wrap(graph.xor(a, turned), a.bits - 1, False)
+        quotient, rest = self._steps(whole, by)
+        beyond = self._total([Term(1, 0, by), Term(-1, 0, rest)], -1, by.bits)
+        return graph.xor(quotient, turned), graph.choose(sign, graph.wrap(beyond, by.bits, False), rest)
+
+    def _steps(self, a: Node, by: Node) -> tuple[Node, Node]:
+        """Divide a word that is not negative.
+
+        From the highest bit on, the divisor is taken off what is left if it fits in. The scheduler puts as
+        many of these steps into a stage as its clock allows.
+        """
+        graph = self.graph
+        rest, quotient = graph.constant(0), graph.constant(0)
+        for k in reversed(range(a.bits)):
+            bit = graph.wrap(graph.right(a, k), 1, False)
+            whole = bit if rest.is_constant(0) else graph.make("join", rest, bit, imm=1)
+            if whole.high < by.low:  # it fits in nowhere
+                rest, fits = whole, graph.constant(0)
+            else:
+                bits = by.bits + 1  # it is from -by to by - 1, since what was left is less than the divisor
+                less = self._total([Term(1, 0, whole), Term(-1, 0, by)], 0, bits)
+                below = graph.wrap(graph.right(less, bits - 1), 1, False)
+                bits = min(whole.bits, by.bits)
+                rest = graph.choose(below, *(graph.wrap(x, bits, False) for x in (whole, less)))
+                fits = graph.logical_not(below)
+            quotient = fits if quotient.is_constant(0) else graph.make("join", quotient, fits, imm=1)
+        return quotient, rest
+
+    def _tables(self, a: Node, by: Node) -> tuple[Node, Node]:
+        dividends = (x - (1 << a.bits) if a.low < 0 and x >> (a.bits - 1) else x for x in range(1 << a.bits))
+        pairs = [divmod(x, max(1, y)) for x in dividends for y in range(1 << by.bits)]
+        index = self.graph.make("join", self.graph.wrap(a, a.bits, False), by, imm=by.bits)
+        quotient, rest = (self.graph.table(entries, index) for entries in zip(*pairs, strict=True))
+        return quotient, rest
 
     def _quotient(self, a: Node, by: int) -> Node:
         """Return ``a // by`` as an exact multiplication."""

@@ -96,7 +96,7 @@ FAULTS: list[tuple[Callable[[Path], None], str, str, str]] = [
     (check_lowering, "lowering", "constant(-(-(1 << fraction) // by))", "constant((1 << fraction) // by)"),
     (check_lowering, "lowering", "fraction = a.bits + by.bit_length()", "fraction = a.bits - 1"),
     (check_lowering, "lowering", '-sign if node.op == "sub" else sign', "sign"),
-    (check_lowering, "dividing", "bits = by.bits + 1", "bits = by.bits"),
+    (check_lowering, "lowering", "bits = by.bits + 1", "bits = by.bits"),
     (check_lowering, "joining", "graph.constant(a * b.imm)", "graph.constant(a * b.imm + 1)"),
     (check_lowering, "joining", "graph.left(y, x.imm)", "graph.left(y, x.imm + 1)"),
     (
