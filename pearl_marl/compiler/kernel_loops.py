@@ -169,10 +169,9 @@ class KernelLoops:
         with self._scratch(code, "end_bits") as frame:
             frame = self._with_keys(code, frame, kernel, self.reset_draws)
             for f in self._blocks(code, frame, kernel, lo, hi):
-                self._load(code, f, kernel, "state")
-                self._load(code, f, kernel, "starts")
+                self._load(code, f, kernel)
                 self._start_over(code, f)
-                code.run(self.forget_ends, f)
+                code.run(self.forget_all, f, "ended")
                 self._observe(code, f)
                 if self.agents > 1:
                     code.run(self.ends.bits_at_reset, f)
@@ -220,8 +219,7 @@ class KernelLoops:
             kernel["tick"] = code.choose(types.int64, next_step.differs(0), tick, tick + 1)
             frame = self._with_keys(code, frame, kernel, self.reset_draws)
             for f in self._blocks(code, frame, kernel, lo, hi):
-                self._load(code, f, kernel, "state")
-                self._load(code, f, kernel, "starts")
+                self._load(code, f, kernel)
                 self._clear(code, f.over, f.m)
                 any_resetting = code.variable(code.word(types.uint8, 0))
                 with code.when(next_step):
@@ -268,7 +266,7 @@ class KernelLoops:
         with self._scratch(code, "over", "end_bits", "changed", *self.state) as frame:
             frame = self._with_keys(code, frame, kernel, self.reset_draws)
             for f in self._blocks(code, frame, kernel, lo, hi):
-                self._load(code, f, kernel, "starts")
+                self._load(code, f, kernel)
                 delivered = {
                     f"word_{k}": column.view(numba_type(field.dtype), 0, f.b * self.agents)
                     for k, (column, field) in fields
@@ -296,7 +294,7 @@ class KernelLoops:
         with self._scratch(code, "codes") as frame:
             frame = self._with_keys(code, frame, kernel, self.step_draws)
             for f in self._blocks(code, frame, kernel, lo, hi):
-                self._load(code, f, kernel, "state")
+                self._load(code, f, kernel)
                 self._draw(code, f, self.step_draws)
                 code.run(self.golden_step, f)
                 code.run(self.rewards, f)
@@ -367,42 +365,30 @@ class KernelLoops:
     def _column(memory: WordArray, column: slot_memory.Column, padded: Value, b: Value) -> WordArray:
         return memory.view(numba_type(column.dtype), padded * column.bytes_before, b)
 
-    def _load(self, code: Code, f: Frame, kernel: Kernel, name: str) -> None:
-        """Copy a block's state, or its stored starts, into lanes, where there are lanes."""
-        memory = "memory" if name == "state" else "stored"
-        if not self.has_lanes:
-            return
-        if name == "state":
-            code.run(self.load_lanes, f.with_(memory=kernel[memory], lanes=f.state))
-            return
-        with code.when(f.use_stored):
-            code.run(self.load_lanes, f.with_(memory=kernel[memory], lanes=f.starts))
+    def _load(self, code: Code, f: Frame, kernel: Kernel) -> None:
+        """Copy a block's state, and its stored starts, into lanes, where there are lanes."""
+        if self.has_lanes and "memory" in kernel:
+            code.run(self.copy_lanes, f.with_(memory=kernel["memory"], lanes=f.state), False)
+        if self.has_lanes and "stored" in kernel:
+            with code.when(f.use_stored):
+                code.run(self.copy_lanes, f.with_(memory=kernel["stored"], lanes=f.starts), False)
 
     def _store(self, code: Code, f: Frame, kernel: Kernel) -> None:
         """Copy lanes back, where there are lanes."""
         if self.has_lanes:
-            code.run(self.store_lanes, f.with_(memory=kernel["memory"], lanes=f.state))
+            code.run(self.copy_lanes, f.with_(memory=kernel["memory"], lanes=f.state), True)
 
-    def load_lanes(self, code: Code, f: Frame) -> None:
-        """Copy a block's columns into lanes."""
-        for i, lane, column in self._lanes(code, f):
-            lane[i] = column[i]
-
-    def store_lanes(self, code: Code, f: Frame) -> None:
-        """Copy lanes back into a block's columns."""
-        for i, lane, column in self._lanes(code, f):
-            column[i] = lane[i]
-
-    def _lanes(self, code: Code, f: Frame) -> Iterator[tuple[Value, WordArray, WordArray]]:
-        """Write loops over fields of each dtype, and their slots: yields a slot, a lane and a column."""
+    def copy_lanes(self, code: Code, f: Frame, back: bool) -> None:
+        """Copy a block's columns into lanes, or back: a loop over fields of each dtype, and their slots."""
         for dtype in sorted({field.dtype for field in self.fields}, key=str):
             fields = [(k * self.size, f.bytes_before) for k, f in enumerate(self.fields) if f.dtype == dtype]
             lanes, befores = (code.table(np.array(column, np.int64)) for column in zip(*fields, strict=True))
             for k in code.range(len(fields)):
                 lane = f.lanes.view(numba_type(self.lane), 0, lanes[k])
                 column = f.memory.view(numba_type(dtype), f.padded * befores[k], f.b)
+                to, of = (column, lane) if back else (lane, column)
                 for i in code.range(f.m):
-                    yield i, lane, column
+                    to[i] = of[i]
 
     def _state(self, f: Frame, name: str = "state") -> list[WordArray]:
         """Return where the fields of the state lie, or those of stored starts."""
@@ -460,46 +446,38 @@ class KernelLoops:
             return
         with code.either(f.use_stored) as (stored, fresh):
             with stored:
-                code.run(self.start_stored, f)
+                code.run(self.start_all, f, True)
             with fresh:
                 self._draw(code, f, self.reset_draws)
-                code.run(self.start_fresh, f)
+                code.run(self.start_all, f, False)
 
-    def start_stored(self, code: Code, f: Frame) -> None:
-        """Start the slots that are ``over`` as it is stored."""
+    def start_all(self, code: Code, f: Frame, stored: bool) -> None:
+        """Start the slots that are ``over``, as it is stored or afresh."""
         for i in code.range(f.m):
-            self._start_if_over(code, f, i, self._words(f, i, "start"))
-
-    def start_fresh(self, code: Code, f: Frame) -> None:
-        """Start the slots that are ``over`` afresh."""
-        for i in code.range(f.m):
-            self._start_if_over(code, f, i, self._call(code, "initial", self._draws(f, i, self.reset_draws)))
-
-    def _start_if_over(self, code: Code, f: Frame, i: Value, words: Sequence[Value]) -> None:
-        # No branch: the loop would stay scalar.
-        over = f.over[i]
-        for column, word in zip(self._state(f), words, strict=True):
-            column[i] = code.choose(column.type, over, word, column[i])
+            if stored:
+                words = self._words(f, i, "start")
+            else:
+                words = self._call(code, "initial", self._draws(f, i, self.reset_draws))
+            over = f.over[i]  # no branch: the loop would stay scalar
+            for column, word in zip(self._state(f), words, strict=True):
+                column[i] = code.choose(column.type, over, word, column[i])
 
     def start_one(self, code: Code, f: Frame) -> None:
         """Start slot ``i``."""
         with code.either(f.use_stored) as (stored, fresh):
             with stored:
-                code.run(self.start_one_stored, f)
+                code.run(self.write_start, f, True)
             with fresh:
-                code.run(self.start_one_fresh, f)
+                code.run(self.write_start, f, False)
 
-    def start_one_stored(self, code: Code, f: Frame) -> None:
-        """Start slot ``i`` as it is stored."""
-        self._put(f, self._words(f, f.i, "start"))
-
-    def start_one_fresh(self, code: Code, f: Frame) -> None:
-        """Start slot ``i`` afresh."""
-        slot = (f.slot_0 + f.i).to(types.uint32)
-        draws = [code.inline(rng.draw, slot, f.keys[2 * d], f.keys[2 * d + 1]) for d in self.reset_draws]
-        self._put(f, self._call(code, "initial", draws))
-
-    def _put(self, f: Frame, words: Sequence[Value]) -> None:
+    def write_start(self, code: Code, f: Frame, stored: bool) -> None:
+        """Write the state that slot ``i`` starts in, as it is stored or afresh."""
+        if stored:
+            words = self._words(f, f.i, "start")
+        else:
+            slot = (f.slot_0 + f.i).to(types.uint32)
+            draws = [code.inline(rng.draw, slot, f.keys[2 * d], f.keys[2 * d + 1]) for d in self.reset_draws]
+            words = self._call(code, "initial", draws)
         for column, word in zip(self._state(f), words, strict=True):
             column[f.i] = word
 
@@ -509,15 +487,11 @@ class KernelLoops:
         if self.agents > 1:
             f.ended[f.i] = 0
 
-    def forget_ends(self, code: Code, f: Frame) -> None:
-        """Forget how the last episode ended, where a slot is ``over``."""
+    def forget_all(self, code: Code, f: Frame, name: str) -> None:
+        """Forget the last episode in a column, ``ended`` or ``elapsed``, where a slot is ``over``."""
+        column = getattr(f, name)
         for i in code.range(f.m):
-            f.ended[i] = code.choose(f.ended.type, f.over[i], 0, f.ended[i])
-
-    def forget_steps(self, code: Code, f: Frame) -> None:
-        """Forget the steps of the last episode, where a slot is ``over``."""
-        for i in code.range(f.m):
-            f.elapsed[i] = code.choose(self.counter, f.over[i], 0, f.elapsed[i])
+            column[i] = code.choose(column.type, f.over[i], 0, column[i])
 
     def _restart(self, code: Code, f: Frame, count: Value) -> None:
         """Start over the slots that are ``over``: one by one where they are few, else all at once."""
@@ -531,7 +505,7 @@ class KernelLoops:
                 with many:
                     code.run(self.keep_all_last, f)
                     self._start_over(code, f)
-                    code.run(self.forget_steps, f)
+                    code.run(self.forget_all, f, "elapsed")
                     self._observe(code, f)
 
     def _restart_few(self, code: Code, f: Frame) -> None:
@@ -556,20 +530,17 @@ class KernelLoops:
 
     def keep_last(self, code: Code, f: Frame) -> None:
         """Keep what slot ``i`` sees last."""
-        self._keep(f, f.i)
+        if self.one_by_one:
+            f.final_observations.copy(f.observations, f.i * self.whole, self.whole)
+            return
+        for e in range(self.row):
+            at = _at(f.i, self.row, e)
+            f.final_observations[at] = f.observations[at]
 
     def keep_all_last(self, code: Code, f: Frame) -> None:
         """Keep what all slots see, as if it were the last."""
         for i in code.range(f.m):
-            self._keep(f, i)
-
-    def _keep(self, f: Frame, i: Value) -> None:
-        if self.one_by_one:
-            f.final_observations.copy(f.observations, i * self.whole, self.whole)
-            return
-        for e in range(self.row):
-            at = _at(i, self.row, e)
-            f.final_observations[at] = f.observations[at]
+            self.keep_last(code, f.with_(i=i))
 
     # A step.
 
@@ -672,8 +643,8 @@ class KernelLoops:
         for i in code.range(f.first, f.end):
             state = self._words(f, i)
             for k in agents:
-                own = () if only_masks else self._observed(code, state, k)
-                words = itertools.chain(own, self._allowed(code, state, k))
+                own = () if only_masks else self._view(code, self.observers, state, k)
+                words = itertools.chain(own, self._view(code, self.maskers, state, k))
                 for r, run in enumerate(self.runs):
                     packed = next(words).to(numba_type(self.spec.agent_fields[run.word].dtype))
                     for bit, flag in enumerate(itertools.islice(words, run.size - 1), 1):
@@ -702,7 +673,7 @@ class KernelLoops:
                 row = i * self.agents + k
                 if self.unpack is not None:
                     f.observations.prefetch((row + ROWS_AHEAD * self.agents) * self.row, self.row)
-                self._write_row(code, f, row, self._observed(code, state, k))
+                self._write_row(code, f, row, self._view(code, self.observers, state, k))
 
     def _observe_start(self, code: Code, f: Frame) -> None:
         """Observe slot ``i``, which has just started."""
@@ -716,8 +687,8 @@ class KernelLoops:
         state = self._words(f, f.i)
         for k in range(self.agents):
             row = f.i * self.agents + k
-            self._write_row(code, f, row, self._observed(code, state, k))
-            self._write_masks(f, row, self._allowed(code, state, k))
+            self._write_row(code, f, row, self._view(code, self.observers, state, k))
+            self._write_masks(f, row, self._view(code, self.maskers, state, k))
 
     def deliver_rows(self, code: Code, f: Frame, alone: str = "") -> None:
         """Write what agents see, a row each, of words that come from elsewhere; no masks where ``alone``."""
@@ -729,22 +700,17 @@ class KernelLoops:
             self._write_row(code, f, i, words[:count])
             self._write_masks(f, i, words[count:])
 
-    def _observed(self, code: Code, state: Sequence[Value], agent: int) -> Any:
-        """Return the words that an agent observes."""
-        return self._call(code, self.observers[agent], [state[place] for place in self.orders[agent]])
-
-    def _allowed(self, code: Code, state: Sequence[Value], agent: int) -> Any:
-        """Return the words of an agent's masks."""
-        if not self.masks:
-            return ()
-        return self._call(code, self.maskers[agent], [state[place] for place in self.orders[agent]])
+    def _view(self, code: Code, names: Sequence[str], state: Sequence[Value], agent: int) -> Any:
+        """Return the words that an agent observes, or of its masks, by functions of these names, if any."""
+        order = self.orders[agent]
+        return self._call(code, names[agent], [state[place] for place in order]) if names else ()
 
     def _write_row(self, code: Code, f: Frame, row: Value, words: Iterable[Value]) -> None:
         """Write the observation of an agent."""
         fields = self.spec.observation
         if self.unpack is not None:
             narrow = [word.to(numba_type(field.dtype)) for word, field in zip(words, fields, strict=True)]
-            code.call_compiled(self.unpack, narrow, code.row(f.observations, row * self.row, self.row))
+            code.call_compiled(self.unpack, narrow, f.observations, row * self.row, self.row)
             return
         for e, (word, field) in enumerate(zip(words, fields, strict=True)):
             f.observations[_at(row, self.row, e)] = element(code, word, field, self.dtype)

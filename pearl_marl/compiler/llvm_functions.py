@@ -47,6 +47,10 @@ def _operator(name: str) -> Callable[[Value, Value | float], Value]:
     return lambda self, other: self._with(name, other)
 
 
+def _comparison(name: str) -> Callable[[Value, Value | int], Value]:
+    return lambda self, other: self.code.operation(COMPARISONS[name], self.type, types.uint8, self, other)
+
+
 class Value:
     """A word that instructions compute: LLVM's value, and Numba's type.
 
@@ -132,9 +136,6 @@ class Value:
             return Value(self.code, self.code.fmul(self.value, other.value), self.type)
         return self.code.operation(ARITHMETIC[name], self.type, self.type, self, other)
 
-    def _compared(self, name: str, other: Value | int) -> Value:
-        return self.code.operation(COMPARISONS[name], self.type, types.uint8, self, other)
-
     __add__ = _operator("add")
     __sub__ = _operator("sub")
     __mul__ = __rmul__ = _operator("mul")
@@ -145,20 +146,12 @@ class Value:
     __rshift__ = _operator("right")
     __floordiv__ = _operator("divide")
     __mod__ = _operator("modulo")
-
-    def __lt__(self, other: Value | int) -> Value:
-        return self._compared("less", other)
-
-    def __ge__(self, other: Value | int) -> Value:
-        return self._compared("at_least", other)
-
-    def equals(self, other: Value | int) -> Value:
-        """Return 1 where two words are equal, else 0."""
-        return self._compared("equal", other)
-
-    def differs(self, other: Value | int) -> Value:
-        """Return 0 where two words are equal, else 1."""
-        return self._compared("differ", other)
+    __lt__ = _comparison("less")
+    __ge__ = _comparison("at_least")
+    equals = _comparison("equal")
+    """Return 1 where two words are equal, else 0."""
+    differs = _comparison("differ")
+    """Return 0 where two words are equal, else 1."""
 
 
 class WordArray:
@@ -338,17 +331,13 @@ class Code(Writer):
         yield index
         loop.close()
 
-    @contextmanager
-    def when(self, flag: Value) -> Iterator[None]:
-        """Write a branch, which is taken unless a word is 0."""
-        with self.if_then(self._is_set(flag)):
-            yield
+    def when(self, flag: Value) -> Any:
+        """Write a branch, as a context manager, which is taken unless a word is 0."""
+        return self.if_then(self._is_set(flag))
 
-    @contextmanager
-    def either(self, flag: Value) -> Iterator[Any]:
-        """Write two branches: yields what to enter for each."""
-        with self.if_else(self._is_set(flag)) as branches:
-            yield branches
+    def either(self, flag: Value) -> Any:
+        """Write two branches, likewise: yields what to enter for each."""
+        return self.if_else(self._is_set(flag))
 
     def _is_set(self, flag: Value) -> Any:
         if self.loops:
@@ -392,29 +381,23 @@ class Code(Writer):
         offset = self.sub(number(LINE), self.and_(self.ptrtoint(piece, number), number(LINE - 1)))
         return piece, WordArray(self, self.gep(piece, [offset]), types.uint8)
 
-    def row(self, words: WordArray, index: Value, count: int) -> tuple[Any, Any]:
-        """Return some words as an array of Numba's, and its type."""
-        type_, number = types.Array(words.type, 1, "C"), ir.IntType(64)
-        array, size = self._context.make_array(type_)(self._context, self), number(words.type.bitwidth // 8)
+    def call_compiled(
+        self, function: Any, words: Sequence[Value], row: WordArray, index: Value, count: int
+    ) -> None:
+        """Call a function that Numba compiles, with words and an array of so many others from an index on."""
+        array_type, number = types.Array(row.type, 1, "C"), ir.IntType(64)
+        array = self._context.make_array(array_type)(self._context, self)
+        size = number(row.type.bitwidth // 8)
         # It owns nothing: the caller of the kernel holds the array.
         self._context.populate_array(
-            array,
-            data=words.at(index),
-            shape=[number(count)],
-            strides=[size],
-            itemsize=size,
-            meminfo=None,
+            array, data=row.at(index), shape=[number(count)], strides=[size], itemsize=size, meminfo=None
         )
-        return array._getvalue(), type_
-
-    def call_compiled(self, function: Any, words: Sequence[Value], row: tuple[Any, Any]) -> None:
-        """Call a function that Numba compiles, with words and an array."""
         self.loops[-1].whole = True
         type_ = types.Dispatcher(function)
-        taken = *(word.type for word in words), row[1]
+        taken = *(word.type for word in words), array_type
         signature = self._context.typing_context.resolve_function_type(type_, taken, {})
         write = self._context.get_function(type_, signature)
-        write(self, [*(word.value for word in words), row[0]])
+        write(self, [*(word.value for word in words), array._getvalue()])
 
     def inline(self, function: Any, *arguments: Value | WordArray) -> Any:
         """Write a function that is plain Python over NumPy's words, and return its results."""
