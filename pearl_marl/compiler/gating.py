@@ -131,62 +131,42 @@ class _Gates:
 
 def _plans(graph: Graph, n: Node, demand: Demand) -> Iterator[Plan]:
     """Yield what the arguments of a node can be so that it is what it has to be."""
-    match demand:
-        case "zero":
-            yield from _zero(n)
-        case "one" | "ones":
-            yield from _ones(n, demand)
-        case Node():
-            yield from _kept(graph, n, demand)
-
-
-def _zero(n: Node) -> Iterator[Plan]:
-    match n.op:
-        case "and" | "mul":
+    match demand, n.op:
+        case "zero", "and" | "mul":
             yield from (("zero", None), (None, "zero"))
-        case "or" | "xor" | "add" | "sub":
+        case "zero", "or" | "xor" | "add" | "sub":
             yield "zero", "zero"
-        case "mask" | "left" | "right" | "wrap" | "divide" | "modulo":
+        case "zero", "mask" | "left" | "right" | "wrap" | "divide" | "modulo":
             yield ("zero",)
-        case "left_by" | "right_by":
+        case "zero", "left_by" | "right_by":
             yield "zero", None
-        case "narrow" if n.low <= 0 <= n.high:
+        case "zero", "narrow" if n.low <= 0 <= n.high:
             yield ("zero",)
-        case "not":
+        case "zero", "not":
             yield ("one",)
-        case "invert":
+        case "zero", "invert":
             yield ("ones",)
-        case "choose":
+        case "zero", "choose":
             yield from (("zero", None, "zero"), ("one", "zero", None), (None, "zero", "zero"))
-        case "table" if n.imm[0] == 0:
+        case "zero", "table" if n.imm[0] == 0:
             yield ("zero",)
-
-
-def _ones(n: Node, demand: Literal["one", "ones"]) -> Iterator[Plan]:
-    match n.op:
-        case "or":
+        case "one" | "ones", "or":
             yield from ((demand, None), (None, demand))
-        case "and":
+        case "one" | "ones", "and":
             yield demand, demand
-        case "not":
+        case ("one" | "ones", "not") | ("ones", "invert"):
             yield ("zero",)
-        case "invert" if demand == "ones":
-            yield ("zero",)
-        case "mask":
+        case "one" | "ones", "mask":
             yield ("one",)
-
-
-def _kept(graph: Graph, n: Node, word: Node) -> Iterator[Plan]:
-    match n.op:
-        case "or" | "xor" | "add":
-            yield from ((word, "zero"), ("zero", word))
-        case "sub" | "left_by" | "right_by":
-            yield word, "zero"
-        case "and":
-            yield from ((word, "ones"), ("ones", word))
-            if word.is_flag:
-                yield from ((word, "one"), ("one", word))
-        case "choose":
-            yield from (("zero", None, word), ("one", word, None), (None, word, word))
-        case "wrap" if graph.wrap(word, *n.imm) is word:
-            yield (word,)
+        case Node(), "or" | "xor" | "add":
+            yield from ((demand, "zero"), ("zero", demand))
+        case Node(), "sub" | "left_by" | "right_by":
+            yield demand, "zero"
+        case Node(), "and":
+            yield from ((demand, "ones"), ("ones", demand))
+            if demand.is_flag:
+                yield from ((demand, "one"), ("one", demand))
+        case Node(), "choose":
+            yield from (("zero", None, demand), ("one", demand, None), (None, demand, demand))
+        case Node(), "wrap" if graph.wrap(demand, *n.imm) is demand:
+            yield (demand,)

@@ -77,14 +77,14 @@ FAULTS: list[tuple[Callable[[Path], None], str, str, str]] = [
     (
         check_gating,
         "gating",
-        'case "and" | "mul":\n            yield from (("zero", None), (None, "zero"))',
-        'case "and" | "mul":\n            yield None, None',
+        '"and" | "mul":\n            yield from (("zero", None), (None, "zero"))',
+        '"and" | "mul":\n            yield None, None',
     ),
     (
         check_gating,
         "gating",
-        'case "sub" | "left_by" | "right_by":\n            yield word, "zero"',
-        'case "sub" | "left_by" | "right_by":\n            yield word, None',
+        '"sub" | "left_by" | "right_by":\n            yield demand, "zero"',
+        '"sub" | "left_by" | "right_by":\n            yield demand, None',
     ),
     (
         check_gating,
@@ -151,8 +151,8 @@ FAULTS: list[tuple[Callable[[Path], None], str, str, str]] = [
     (
         check_kernels,
         "straight_line",
-        "numbers[k // each] |= node.imm[k] - least << k % each * width",
-        "numbers[k // each] |= node.imm[k] << k % each * width",
+        "node.imm[k] - least << k % per_number * width",
+        "node.imm[k] << k % per_number * width",
     ),
 ]
 
