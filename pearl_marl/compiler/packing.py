@@ -19,7 +19,7 @@ from pearl_marl.checks import checked_choice
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction
-from pearl_marl.spec import EnvSpec, Field, check_spec
+from pearl_marl.spec import EnvSpec, check_spec
 
 FORMS = ("whole", "packed")
 """How observations are delivered."""
@@ -33,11 +33,7 @@ def observed_as(spec: EnvSpec, observations: str) -> EnvSpec:
 
 def row_dtype(spec: EnvSpec) -> np.dtype[Any]:
     """Return the layout of a packed row: the words of the observation one after the other, little-endian."""
-    return _row_dtype(spec.observation)
-
-
-def _row_dtype(fields: tuple[Field, ...]) -> np.dtype[Any]:
-    return np.dtype([(field.name, field.dtype.newbyteorder("<")) for field in fields])
+    return np.dtype([(field.name, field.dtype.newbyteorder("<")) for field in spec.observation])
 
 
 def packed(spec: EnvSpec) -> EnvSpec:
@@ -61,7 +57,7 @@ def packed(spec: EnvSpec) -> EnvSpec:
         spec,
         golden=spec.golden._replace(view=None),  # words are written as they are
         observation_space=space,
-        unpack=_packer(spec.observation),
+        unpack=_packer(row_dtype(spec)),
         roles=roles,
         configure=made,
     )
@@ -72,14 +68,13 @@ def _packed(configure: Callable[..., EnvSpec], **options: Any) -> EnvSpec:
 
 
 @cache
-def _packer(fields: tuple[Field, ...]) -> GoldenFunction:
+def _packer(layout: np.dtype[Any]) -> GoldenFunction:
     """Return what writes the words of an observation into a row, as ``unpack`` of a spec does."""
-    lines, layout = [], _row_dtype(fields)
-    for field in fields:
-        start = layout.fields[field.name][1]  # type: ignore[index]
-        for byte in range(field.dtype.itemsize):
-            lines.append(f"    row[{start + byte}] = int(word_{field.name}) >> {8 * byte} & 255")
-    names = ", ".join(f"word_{field.name}" for field in fields)  # one may be named row
+    lines: list[str] = []
+    for name, (word, start, *_) in (layout.fields or {}).items():
+        shifted = (f"int(word_{name}) >> {8 * byte} & 255" for byte in range(word.itemsize))
+        lines += (f"    row[{place}] = {text}" for place, text in enumerate(shifted, start))
+    names = ", ".join(f"word_{name}" for name in layout.names or ())  # one may be named row
     scope: dict[str, Any] = {"__name__": __name__}  # of whose module the function is
     exec("\n".join([f"def pack({names}, row):", *lines]), scope)
     pack: GoldenFunction = scope["pack"]
