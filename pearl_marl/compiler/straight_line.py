@@ -51,16 +51,7 @@ def golden_functions(spec: EnvSpec, in_turn: bool = False) -> list[str]:
     ArgumentError
         A word takes more than 64 bits; the message names the file and the line.
     """
-    lines: list[str] = []
-    for function in _written(Itself(spec))[0]:
-        lines += function.head
-        if in_turn and len(function.results) >= MANY:
-            made = itertools.zip_longest(function.lines, function.results, fillvalue="")
-            lines += (f"    {line}" for some, result in made for line in (*some, f"yield {result}"))
-        else:
-            lines += (f"    {line}" for some in function.lines for line in some)
-            lines.append(f"    return {', '.join(function.results)}")
-    return lines
+    return [line for function in _written(Itself(spec))[0] for line in function.text(in_turn)]
 
 
 def orders(spec: EnvSpec) -> list[Order]:
@@ -126,9 +117,7 @@ def golden_function(
     name: str, function: GoldenFunction, inputs: Sequence[Field], results: Sequence[Field]
 ) -> list[str]:
     """Return the lines of one golden function of words, for ``inlined`` to compile."""
-    written = _function(name, _traced(function, inputs, results), inputs)
-    body = [f"    {line}" for some in written.lines for line in some]
-    return [*written.head, *body, f"    return {', '.join(written.results)}"]
+    return _function(name, _traced(function, inputs, results), inputs).text()
 
 
 class _Written(NamedTuple):
@@ -137,6 +126,14 @@ class _Written(NamedTuple):
     head: list[str]
     lines: list[list[str]]
     results: list[str]
+
+    def text(self, in_turn: bool = False) -> list[str]:
+        if in_turn and len(self.results) >= MANY:
+            made = itertools.zip_longest(self.lines, self.results, fillvalue="")
+            body = [line for some, result in made for line in (*some, f"yield {result}")]
+        else:
+            body = [*itertools.chain(*self.lines), f"return {', '.join(self.results)}"]
+        return [*self.head, *(f"    {line}" for line in body)]
 
 
 def _function(name: str, traced: Traced, inputs: Sequence[Field]) -> _Written:
@@ -489,19 +486,13 @@ class _LineWriter:
         )
 
 
-class _Packing(NamedTuple):
-    """How a table is a few numbers: the bits of a number, and of an entry in it."""
-
-    size: int
-    width: int
-
-
-def _packing(node: Node) -> _Packing | None:
+def _packing(node: Node) -> tuple[int, int] | None:
+    """Return how a table is a few numbers: the bits of a number, and of an entry in it."""
     span = bits_of(0, max(node.imm) - min(node.imm))
     width = 1 << (span - 1).bit_length()
     for size in (16, 32, 64):
         if width < size and width * len(node.imm) <= MOST_NUMBERS * size:
-            return _Packing(size, width)
+            return size, width
     return None
 
 
