@@ -18,7 +18,7 @@ import numpy as np
 
 from pearl_marl.compiler import scalar_words
 from pearl_marl.compiler.agents_alike import Order, Traced, alike
-from pearl_marl.compiler.kernel_bits import kernel_bits
+from pearl_marl.compiler.widths import used_bits
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction
 from pearl_marl.golden.tracing.graph import Graph
@@ -261,7 +261,7 @@ class _LineWriter:
         self.names = {word: self._fresh(word.imm.split()[1]) for word in words}
         # As the author has it: LLVM keeps the order, and sums right behind their flags are slower.
         order = sorted(in_order(node for node, _ in results), key=lambda node: node.number)
-        self._used = kernel_bits(order, [(node, node.bits) for node, _ in results])
+        self._used = used_bits(order, [(node, node.bits) for node, _ in results], words=True)
         typed = self._typed(order, results)
         first = dict.fromkeys(typed, 0)
         if len(results) >= MANY:

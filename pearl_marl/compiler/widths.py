@@ -10,12 +10,24 @@ WIRES = frozenset({"wrap", "left", "right", "join", "mask", "not", "invert"})
 """Operations that take no logic: which wire goes where, and inversions that tables take in."""
 
 
-def used_bits(order: Sequence[Node], outputs: Iterable[tuple[Node, int]]) -> dict[Node, int]:
-    """Return the bits of each node that its users look at, given the outputs and their widths."""
+def used_bits(
+    order: Sequence[Node], outputs: Iterable[tuple[Node, int]], words: bool = False
+) -> dict[Node, int]:
+    """Return the bits of each node that its users look at, given the outputs and their widths.
+
+    Hardware makes a word of no more bits than it has, so what lies beyond them is nothing. A kernel's
+    ``words`` have 8 to 64, and unless one is right as a whole, what lies beyond the bits that are asked for
+    is anything. So who asks for a bit that is 0 by a node's range, or that is its sign, asks for all of it.
+    """
     used = dict.fromkeys(order, 0)
 
     def ask(node: Node, bits: int) -> None:
-        bits &= (1 << node.bits) - 1 if node.low < 0 else node.ones
+        own = (1 << node.bits) - 1
+        possible = own if node.low < 0 else node.ones
+        if not words:
+            bits &= possible
+        elif bits >> (node.bits - 1) or bits & own & ~possible:
+            bits = own
         used[node] |= bits
 
     def ask_signed(node: Node, bits: int) -> None:
@@ -29,6 +41,8 @@ def used_bits(order: Sequence[Node], outputs: Iterable[tuple[Node, int]]) -> dic
     for node in reversed(order):
         bits = used[node]
         full = (1 << bits.bit_length()) - 1
+        if words and bits >> (node.bits - 1):
+            bits = full = -1
         match node.op:
             case "add" | "sub" | "mul":
                 for arg in node.args:
@@ -39,7 +53,8 @@ def used_bits(order: Sequence[Node], outputs: Iterable[tuple[Node, int]]) -> dic
             case "and":
                 a, b = node.args
                 for x, y in ((a, b), (b, a)):
-                    ask_signed(x, bits & (y.ones if y.low >= 0 else y.imm if y.is_constant() else -1))
+                    known = y.imm if y.is_constant() else -1 if words or y.low < 0 else y.ones
+                    ask_signed(x, bits & known)
             case "or" | "xor":
                 for arg in node.args:
                     ask_signed(arg, bits)

@@ -147,7 +147,7 @@ FAULTS: list[tuple[Callable[[Path], None], str, str, str]] = [
     ),
     (check_kernels, "straight_line", "bits = {k: 1 << k for k", "bits = {k: 2 << k for k"),
     (check_kernels, "straight_line", "unusual = {k: node.imm[k]", "unusual = {k: node.imm[k - 1]"),
-    (check_kernels, "kernel_bits", "            bits = EVERY", "            bits |= 0"),
+    (check_kernels, "widths", "            bits = own", "            bits |= 0"),
     (
         check_kernels,
         "straight_line",
