@@ -8,7 +8,7 @@ from html import escape
 
 from pearl_marl.compiler.core_graph import Output
 from pearl_marl.compiler.scheduling import Schedule
-from pearl_marl.compiler.widths import WIRES, width
+from pearl_marl.compiler.widths import width
 from pearl_marl.golden.tracing.nodes import Node
 
 BOX, GAP, ROW, MARGIN = 120, 34, 30, 46
@@ -22,7 +22,8 @@ SYMBOLS = {
 def drawing(title: str, outputs: Sequence[Output], schedule: Schedule) -> str:
     """Return an SVG of a core; a register is where a line crosses from a stage to the next."""
     depth: dict[Node, int] = {}
-    below = {node: _sources(node) for node in schedule.order}
+    sources = schedule.sources
+    below = {n: list(dict.fromkeys(s for a in n.args for s in sources[a])) for n in schedule.order}
     for node in schedule.order:
         same = [depth[s] for s in below[node] if schedule.stage[s] == schedule.stage[node]]
         depth[node] = max(same, default=-1) + 1
@@ -40,7 +41,7 @@ def drawing(title: str, outputs: Sequence[Output], schedule: Schedule) -> str:
     several = sum(output.port == "terminated_o" for output in outputs) > 1
     for i, output in enumerate(outputs):
         at = end, MARGIN + i * ROW
-        lines += (_line(places[s], at) for s in _sources(output.node, whole=True))
+        lines += (_line(places[s], at) for s in sources[output.node])
         whole = output.port in ("reward_o", "terminated_o") and not several  # of one field
         label = output.port if whole else f"{output.port}.{output.field}"
         boxes.append(_box(at, label, output.bits, "output", label))
@@ -69,21 +70,6 @@ def drawing(title: str, outputs: Sequence[Output], schedule: Schedule) -> str:
     )
 
 
-def _sources(node: Node, whole: bool = False) -> list[Node]:
-    """Return the operations that a node is made of, or that it is itself where ``whole``."""
-    if whole and (node.op not in WIRES) and node.op != "constant":
-        return [node]
-    found: dict[Node, None] = {}
-    waiting = list(node.args)
-    while waiting:
-        arg = waiting.pop()
-        if arg.op in WIRES:
-            waiting += arg.args
-        elif arg.op != "constant":
-            found[arg] = None
-    return list(found)
-
-
 def _label(node: Node) -> str:
     if node.op == "input":
         return str(node.imm)
@@ -110,5 +96,4 @@ def _box(place: tuple[int, int], label: str, bits: int, op: str, hint: str) -> s
 def _line(start: tuple[int, int], end: tuple[int, int]) -> str:
     x, y = start[0] + BOX, start[1] + 10
     to_x, to_y = end[0], end[1] + 10
-    bend = GAP
-    return f'<path d="M{x} {y}C{x + bend} {y} {to_x - bend} {to_y} {to_x} {to_y}"/>'
+    return f'<path d="M{x} {y}C{x + GAP} {y} {to_x - GAP} {to_y} {to_x} {to_y}"/>'

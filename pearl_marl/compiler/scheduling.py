@@ -14,7 +14,7 @@ import inspect
 import json
 import math
 import sys
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -39,6 +39,8 @@ class Schedule(NamedTuple):
     """The operations, each after what it is made of."""
     used: Mapping[Node, int]
     """The bits of each node that are used."""
+    sources: Mapping[Node, list[Node]]
+    """The operations that each node is made of by wires alone, or that it is itself."""
     stage: Mapping[Node, int]
     last: Mapping[Node, int]
     """The last stage in which it is used."""
@@ -104,7 +106,7 @@ def scheduled(outputs: Sequence[Output], target: Target) -> Schedule:
     for j, below in enumerate(arguments):
         arrival[j] += max((arrival[i] for i in below if stage[i] == stage[j]), default=0)
     begins_at, ends_at = (dict(zip(order, numbers, strict=True)) for numbers in (stage, last))
-    return Schedule(order, used, begins_at, ends_at, latency, max(arrival, default=0.0), target)
+    return Schedule(order, used, sources, begins_at, ends_at, latency, max(arrival, default=0.0), target)
 
 
 def _gaps(
@@ -211,13 +213,9 @@ def _solved(problem: _Problem) -> list[int]:
             rows.append(([(first[i], 1), (stage[i], -1)], behind[i]))
         rows.append(([(first[i], 1), (last[i], -1)], 0))
         rows.append(([(last[i], 1), (first[i], -1), (kept[i], -1), (shifted[i], -latency)], 0))
-    cells = defaultdict(list)
-    for number, (terms, _) in enumerate(rows):
-        for column, value in terms:
-            cells["value"].append(value)
-            cells["row"].append(number)
-            cells["column"].append(column)
-    matrix = coo_array((cells["value"], (cells["row"], cells["column"])), shape=(len(rows), 5 * count))
+    cells = ((value, number, column) for number, (terms, _) in enumerate(rows) for column, value in terms)
+    values, numbers, columns = zip(*cells, strict=True)
+    matrix = coo_array((values, (numbers, columns)), shape=(len(rows), 5 * count))
     weights = [b + 1e-2 for b in bits]
     # A little for being late, so that of equally good schedules it is always the same one.
     cost = (
