@@ -9,18 +9,16 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from numba import types
 
 from pearl_marl.compiler.llvm_functions import Code, Frame, Value, WordArray
 
 
 class Ends:
-    """The loops about ends, where elapsed steps are words of a type, and the column ``ended`` of a dtype."""
+    """The loops about ends, where the column ``ended`` has words of a type, and elapsed steps of another."""
 
-    def __init__(self, agents: int, dtype: np.dtype[Any], counter: Any) -> None:
-        self.agents, self.counter = agents, counter
-        self.type = getattr(types, str(dtype))
+    def __init__(self, agents: int, type_: Any, counter: Any) -> None:
+        self.agents, self.type, self.counter = agents, type_, counter
         self.all = ((1 << agents) - 1) << 1
         """The bits of a slot whose agents have all ended."""
 

@@ -141,7 +141,7 @@ class KernelLoops:
         # large observations, of which all would be made anew, nor those of agents that have ended.
         self.one_by_one = unpack is not None or self.agents > 1 or self.whole > LARGE
         self.few = self.size // (16 + 3 * spec.reset_draws)
-        self.ends = Ends(self.agents, self.ended.dtype, self.counter)
+        self.ends = Ends(self.agents, numba_type(self.ended.dtype), self.counter)
         types_of_arrays = {
             "elapsed": (counter, 1),
             "observations": (self.dtype, self.whole),
@@ -566,18 +566,17 @@ class KernelLoops:
     def rewards(self, code: Code, f: Frame) -> None:
         """Make rewards of their codes."""
         field, count = self.spec.reward, 1 << self.spec.reward.bits
-        if self.spec.rewards is None or count > MOST_REWARDS:
-            for i in code.range(f.m * self.agents):
-                if self.spec.rewards is None:
-                    f.rewards[i] = element(code, f.codes[i], field, np.dtype(np.float32))
-                else:
-                    f.rewards[i] = f.table[f.codes[i] & (count - 1)]
-            return
-        known = [f.table[k] for k in range(count)]
+        are_few = self.spec.rewards is not None and count <= MOST_REWARDS
+        known = [f.table[k] for k in range(count)] if are_few else []
         for i in code.range(f.m * self.agents):
-            reward = known[0]
-            for k in range(1, count):
-                reward = code.choose(types.float32, f.codes[i].equals(k), known[k], reward)
+            if self.spec.rewards is None:
+                reward = element(code, f.codes[i], field, np.dtype(np.float32))
+            elif not known:
+                reward = f.table[f.codes[i] & (count - 1)]
+            else:
+                reward = known[0]
+                for k in range(1, count):
+                    reward = code.choose(types.float32, f.codes[i].equals(k), known[k], reward)
             f.rewards[i] = reward
 
     def _call(self, code: Code, name: str, words: Iterable[Value]) -> Any:

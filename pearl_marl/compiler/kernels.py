@@ -47,9 +47,6 @@ _FORCE_INLINE = True
 _NOT_FOR_C: dict[str, Any] = {"no_cfunc_wrapper": True}
 _FOR_KERNELS: dict[str, Any] = {"no_cpython_wrapper": True, **_NOT_FOR_C}
 
-DRAWING: dict[str, GoldenFunction] = {"key": rng.key, "draw": rng.draw}
-"""What makes random draws."""
-
 
 class Kernels(NamedTuple):
     """The compiled functions of one environment, and the file where their source can be read.
@@ -190,7 +187,8 @@ def _kernel(name: str, function: Callable[..., None]) -> Any:
 def functions(spec: EnvSpec) -> dict[str, GoldenFunction]:
     """Return the functions that a kernel's source calls, by the names it has for them."""
     unpack = spec.positional.unpack
-    return DRAWING if unpack is None else DRAWING | {"unpack": unpack}
+    drawing: dict[str, GoldenFunction] = {"key": rng.key, "draw": rng.draw}
+    return drawing if unpack is None else drawing | {"unpack": unpack}
 
 
 def kernel_name(spec: EnvSpec, source: str, versions: Iterable[str]) -> str:
