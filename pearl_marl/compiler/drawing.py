@@ -15,7 +15,7 @@ BOX, GAP, ROW, MARGIN = 120, 34, 30, 46
 COLOURS = {"input": "#d7e8f7", "mul": "#f7d9c4", "sum": "#fbeecb", "table": "#e3dcf3", "choose": "#d9f0dd"}
 SYMBOLS = {
     "sum": "+", "mul": "*", "and": "&", "or": "|", "xor": "^", "equal": "=", "less": "<", "choose": "?:",
-    "table": "[ ]", "left_by": "<<", "right_by": ">>",
+    "table": "[ ]", "left_by": "<<", "right_by": ">>", "word": "{ }",
 }  # fmt: skip
 
 

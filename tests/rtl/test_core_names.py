@@ -117,6 +117,12 @@ def test_a_core_of_ones_own_named_like_the_backbone() -> None:
         elaboration.sources(spec)
 
 
+def test_every_operation_of_a_core_is_drawn() -> None:
+    """Also a word that is kept together for a multiplier, as xc7's cores have them."""
+    picture = generated_core(spec_of("Taxi", {}), Target("xc7", 150)).picture()
+    assert "{ }" in picture
+
+
 def test_remarks_are_one_line_of_ascii(tmp_path: Path) -> None:
     """An option's text may go over lines, as an array's does, and have any letters."""
     options = {"map": np.zeros((3, 30), int), "name": "\u00e9\nendmodule\u2028\\"}
