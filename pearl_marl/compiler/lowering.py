@@ -8,9 +8,10 @@ within its range again, and a division by a word a subtraction for each bit of t
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections import Counter
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 from pearl_marl.compiler.core_graph import Output
@@ -203,11 +204,9 @@ class Lowering:
         used = width(node, self.used)
         if used < node.bits:
             return self.graph.wrap(made, used, False)
-        return (
-            made
-            if node.low <= made.low and made.high <= node.high
-            else self.graph.wrap(made, used, node.low < 0)
-        )
+        if node.low <= made.low and made.high <= node.high:
+            return made
+        return self.graph.wrap(made, used, node.low < 0)
 
     def _flatten(
         self, node: Node, sign: int, shift: int, terms: list[Term], bits: int, whole: bool = False
@@ -258,14 +257,9 @@ class Lowering:
                     products = self._products(a, self.graph.constant(rest), bits - low)
                     products = [t._replace(shift=t.shift + low) for t in products]
                     return [*products, *(Term(sign, shift, a) for sign, shift in digits[-n:])]
-        wide, narrow = self.target.family.multiplier
-        pieces = [(self._pieces(a, u), self._pieces(b, v)) for u, v in ((wide, narrow), (narrow, wide))]
-        xs, ys = min(pieces, key=lambda pair: len(pair[0]) * len(pair[1]))
-        if (
-            a is b
-            and (square := self._pieces(a, narrow))
-            and len(square) * (len(square) + 1) // 2 <= len(xs) * len(ys)
-        ):
+        xs, ys = self._cut(a, b)
+        square = self._pieces(a, self.target.family.multiplier[1]) if a is b else []
+        if square and len(square) * (len(square) + 1) // 2 <= len(xs) * len(ys):
             xs = ys = square
         terms = []
         for i, (x, low_x) in enumerate(xs):
@@ -279,10 +273,13 @@ class Lowering:
         return terms
 
     def _multipliers(self, a: Node, b: Node) -> int:
-        wide, narrow = self.target.family.multiplier
-        return min(
-            len(self._pieces(a, u)) * len(self._pieces(b, v)) for u, v in ((wide, narrow), (narrow, wide))
-        )
+        return math.prod(map(len, self._cut(a, b)))
+
+    def _cut(self, a: Node, b: Node) -> list[list[tuple[Node, int]]]:
+        """Cut two words into pieces that take the fewest multipliers."""
+        cuts = itertools.permutations(self.target.family.multiplier)
+        pairs = ([self._pieces(a, u), self._pieces(b, v)] for u, v in cuts)
+        return min(pairs, key=lambda pair: math.prod(map(len, pair)))
 
     def _factor(self, node: Node, bits: int) -> Node:
         """Return what a product needs of a word; joined parts are one word, as in a multiplier's register."""
@@ -342,12 +339,7 @@ class Lowering:
                 total = self._sum([Term(1, 0, total)], own) if own else total
                 upper = constant >> (shift + cut)
                 if upper:
-                    total = graph.make(
-                        "join",
-                        graph.constant(upper >> 1),
-                        graph.wrap(total, cut + 1, False),
-                        imm=cut + 1,
-                    )
+                    total = self._joined(graph.constant(upper >> 1), total, cut + 1)
                 constant = 0
         lower: list[Term] = []
         for k, product in enumerate(products[1:], 1):
@@ -368,7 +360,7 @@ class Lowering:
     def _paired(self, terms: list[Term], constant: int, bits: int) -> Node:
         """Add the two neighbours first whose sum is the shortest."""
         terms = sorted(terms, key=lambda t: t.shift)
-        pairs = pairwise(terms)
+        pairs = itertools.pairwise(terms)
         i = min(enumerate(pairs), key=lambda p: (max(t.top for t in p[1]) - p[1][0].shift, -p[1][0].shift))[0]
         own = constant if constant % (1 << terms[i].shift) == 0 else 0
         pair = self._total(terms[i : i + 2], own, bits)
@@ -383,9 +375,8 @@ class Lowering:
         first, *others = sorted(terms, key=lambda t: t.shift)
         if len(others) == 1 and first.shift == 0 and first.sign > 0:
             cut = others[0].shift
-            if (
-                cut and constant % (1 << cut) == 0 and first.node.bits > cut
-            ):  # the lowest bits are there already
+            if cut and constant % (1 << cut) == 0 and first.node.bits > cut:
+                # The lowest bits are there already.
                 upper = [Term(1, 0, graph.right(first.node, cut)), others[0]._replace(shift=0)]
                 return self._joined(self._total(upper, constant >> cut, bits - cut), first.node, cut)
         cut = (made + 1) // 2
