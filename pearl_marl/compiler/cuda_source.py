@@ -272,10 +272,8 @@ class _KernelWriter:
         words = zip(self.actions, self.of_agents("actions", len(own)), strict=True)
         for word, (a, given) in enumerate(words):
             k, at = divmod(word, len(own))
-            space, field = (
-                self.spec.roles[k].action_space if self.spec.roles else self.spec.action_space,
-                own[at],
-            )
+            space = self.spec.roles[k].action_space if self.spec.roles else self.spec.action_space
+            field = own[at]
             dtype = field.dtype
             lines += [f"action = {given}", f"{a} = np.{dtype}(0)"]
             if isinstance(space, Box):

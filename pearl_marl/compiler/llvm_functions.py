@@ -362,9 +362,8 @@ class Code(Writer):
         for name, (type_, count) in shared.items():
             starts[name] = size
             size += -(-count * type_.bitwidth // 8 // LINE) * LINE
-        pieces, room = [], self._piece(size)
-        pieces.append(room[0])
-        columns = {name: room[1].view(type_, starts[name]) for name, (type_, _) in shared.items()}
+        piece, room = self._piece(size)
+        pieces, columns = [piece], {name: room.view(t, starts[name]) for name, (t, _) in shared.items()}
         for name, (type_, count) in alone.items():
             piece, words = self._piece(count * type_.bitwidth // 8)
             pieces.append(piece)

@@ -222,7 +222,8 @@ class _Body:
             if node.op != "input" and node not in written.inlined:
                 value = bare(written.expression(node))
                 remark = written.remarks.get(node) or (f"line {node.line}" if node.line else "")
-                stages[stage] += self._assignment(bits, written.names[node], value, remark)
+                name, remark = written.names[node], f"  // {remark}" if remark else ""
+                stages[stage] += [f"  logic {_range(bits)}{name};", f"  assign {name} = {value};{remark}"]
             for k in range(stage + 1, schedule.last[node] + 1):
                 registers[k].append((bits, written.at(node, k), written.slice(node, 0, bits, k - 1)))
         lines: list[str] = []
@@ -235,12 +236,6 @@ class _Body:
         return "\n".join(
             [*self._unused(), *([""] if tables else []), *tables, *lines, "", *self._outputs(), ""]
         )
-
-    def _assignment(self, bits: int, name: str, value: str, remark: str) -> list[str]:
-        lines = [f"  logic {_range(bits)}{name};", f"  assign {name} = {value};"]
-        if remark:
-            lines[1] += f"  // {remark}"
-        return lines
 
     def _registers(self, rows: Sequence[tuple[int, str, str]]) -> list[str]:
         named: dict[int, list[str]] = defaultdict(list)
