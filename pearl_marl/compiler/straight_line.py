@@ -388,14 +388,10 @@ class _LineWriter:
                     for a, x in zip(node.args, texts, strict=True)
                 )
                 return f"int64_mul({', '.join(short)})"
-            case "divide" | "modulo":
-                sign = "//" if node.op == "divide" else "%"
-                return f"np.{type_}(np.{own}({text}) {sign} np.{own}({node.imm}))"
-            case "divide_by" | "modulo_by":
-                sign = "//" if node.op == "divide_by" else "%"
-                return (
-                    f"np.{type_}(np.{own}({texts[0]}) {sign} np.{own}({self._divisor(node, own, texts[1])}))"
-                )
+            case "divide" | "modulo" | "divide_by" | "modulo_by":
+                sign = "//" if node.op.startswith("divide") else "%"
+                by = self._divisor(node, own, texts[1]) if node.imm is None else node.imm
+                return f"np.{type_}(np.{own}({texts[0]}) {sign} np.{own}({by}))"
             case "choose" if _is_extreme(node):
                 which = "minimum" if node.args[1] is node.args[0].args[0] else "maximum"
                 return f"np.{type_}({own}_{which}({text}))"
