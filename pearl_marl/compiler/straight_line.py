@@ -167,11 +167,8 @@ def _with_merged_sums(graph: Graph, results: Sequence[Node]) -> list[Node]:
     users = Counter(arg for node in order for arg in node.args)
     new: dict[Node, Node] = {}
     for node in order:
-        args = [new[arg] for arg in node.args]
-        again = node
-        if any(arg is not old for arg, old in zip(args, node.args, strict=True)):
-            again = graph.within(graph.again(node, args), node.low, node.high)
-        new[node] = again
+        again = graph.again(node, [new[arg] for arg in node.args])
+        new[node] = graph.within(again, node.low, node.high)
         if node.op == again.op == "add" and again.args[1].is_constant() and users[node.args[0]] == 1:
             shifted, constant = again.args
             if shifted.op == "right":
