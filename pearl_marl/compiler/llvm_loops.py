@@ -26,7 +26,6 @@ SLOTS = 64
 
 INDEX = ir.IntType(64)
 
-
 PARTS = 12
 """Parts of a loop that become SIMD code, which is longer than other code and takes longer to compile."""
 
@@ -135,8 +134,7 @@ class Loop:
 
     def _end(self, last: bool = False) -> None:
         writer = self._writer
-        plain = self.operations < WORK * self.scattered or self.part_number >= PARTS
-        self._plain.append(plain)
+        self._plain.append(self.operations < WORK * self.scattered or self.part_number >= PARTS)
         # LLVM is to know that the sign never changes.
         self.index.add_incoming(writer.add(self.index, INDEX(1), flags=["nsw"]), writer.block)
         self._ends.append(writer.branch(self._condition))

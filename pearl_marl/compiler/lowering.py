@@ -46,11 +46,6 @@ class Term(NamedTuple):
         """The greatest value."""
         return (self.node.high if self.sign > 0 else -self.node.low) << self.shift
 
-    @property
-    def top(self) -> int:
-        """The bit above its highest."""
-        return self.shift + self.node.bits
-
 
 def lowered(graph: Graph, outputs: Sequence[Output], target: Target) -> list[Output]:
     """Return the outputs of a core in a new graph, of operations that its target has."""
@@ -360,8 +355,9 @@ class Lowering:
     def _paired(self, terms: list[Term], constant: int, bits: int) -> Node:
         """Add the two neighbours first whose sum is the shortest."""
         terms = sorted(terms, key=lambda t: t.shift)
-        pairs = itertools.pairwise(terms)
-        i = min(enumerate(pairs), key=lambda p: (max(t.top for t in p[1]) - p[1][0].shift, -p[1][0].shift))[0]
+        tops = itertools.pairwise(t.shift + t.node.bits for t in terms)
+        lengths = [(max(top) - t.shift, -t.shift) for top, t in zip(tops, terms[:-1], strict=True)]
+        i = lengths.index(min(lengths))
         own = constant if constant % (1 << terms[i].shift) == 0 else 0
         pair = self._total(terms[i : i + 2], own, bits)
         shift = 0
