@@ -106,18 +106,13 @@ class League:
         return torch.where(self.random_moves[step][:, None], anything, outputs)
 
 
-def _league(worker: RolloutWorker) -> League:
-    """Return an empty league for a worker's agents."""
-    assert worker.agents.position is not None  # self-play takes two
-    return League(worker.settings, worker.model.policy, worker.agents.position)
-
-
 class LeagueWorker(RolloutWorker):
     """Gathers with the learner among members of the ``league``."""
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self.league = _league(self)
+        assert self.agents.position is not None  # self-play takes two
+        self.league = League(self.settings, self.model.policy, self.agents.position)
 
     def gather(self, rollout: int) -> RolloutBuffer:
         """Step all agents, against members that the rollout's number decides; return the rollout."""
@@ -137,34 +132,25 @@ class LeagueWorker(RolloutWorker):
 
     def decide(self, inputs: Inputs, step: int) -> Tensor:
         """Return the outputs of all players' policies; equal ones where the move is random."""
-        outputs = _masked_outputs(self, inputs)
+        outputs = self.no_outputs(inputs)
         for policy, theirs in self.league.playing():
             rows = (self.agents.acting & theirs).nonzero()[:, 0]
             some = inputs.pick(rows)
             outputs[rows] = policy(some.obs, some.masks, some.position)
         return self.league.disturbed(outputs, inputs.masks, step)
 
+    def no_outputs(self, inputs: Inputs) -> Tensor:
+        """Return outputs of a policy that may do nothing, a row for each agent, to be filled in."""
+        return torch.full((len(inputs.obs), self.model.policy.outputs), MASKED, device=self.where)
 
-class RecurrentLeagueWorker(RecurrentWorker):
+
+class RecurrentLeagueWorker(RecurrentWorker, LeagueWorker):
     """Does so with policies that remember, each what its own agents have seen."""
-
-    def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
-        self.league = _league(self)
 
     def gather(self, rollout: int) -> RolloutBuffer:
         """Step all agents, against members that the rollout's number decides; return the rollout."""
-        self.league.begin(rollout)
         self.memory = self.memory.masked_fill(self.league.taken_over(rollout)[:, None], 0)
         return super().gather(rollout)
-
-    def acting(self) -> Tensor:
-        """Return which agents' next decisions are learned from: the learner's."""
-        return self.agents.acting & (self.league.players == 0)
-
-    def excluded(self) -> Tensor:
-        """Return which moves are random."""
-        return self.league.random_moves
 
     def decide(self, inputs: Inputs, step: int) -> Tensor:
         """Return the outputs of all players' policies, which remember also a step whose move is random."""
@@ -175,7 +161,7 @@ class RecurrentLeagueWorker(RecurrentWorker):
 
         Opponents have no critic: the values of their agents are 0, and their memories are shorter.
         """
-        outputs, after = _masked_outputs(self, inputs), torch.zeros_like(memory)
+        outputs, after = self.no_outputs(inputs), torch.zeros_like(memory)
         values = torch.zeros(len(memory), device=self.where)
         for policy, theirs in self.league.playing():
             rows = theirs.nonzero()[:, 0]
@@ -189,8 +175,3 @@ class RecurrentLeagueWorker(RecurrentWorker):
             made = policy.unrolled(flat.obs, flat.masks, flat.position, recall)
             outputs[rows], (after[rows, :size],) = made
         return outputs, values, after
-
-
-def _masked_outputs(worker: RolloutWorker, inputs: Inputs) -> Tensor:
-    """Return outputs of a policy that may do nothing, a row for each agent, to be filled in."""
-    return torch.full((len(inputs.obs), worker.model.policy.outputs), MASKED, device=worker.where)
