@@ -15,23 +15,15 @@ from torch import Tensor
 from torch.nn.functional import huber_loss
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.policies.network import SHARING, is_dense
+from pearl_marl.policies.network import is_dense
 from pearl_marl.policies.trained import NetworkPolicy
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.action_values import explored
 from pearl_marl.training.adam import Adam
-from pearl_marl.training.agents import TEAM, Agents, observed_spec, team_rewards
+from pearl_marl.training.agents import Agents, observed_spec, team_rewards
 from pearl_marl.training.dense_dqn import Steps, gradients_of
 from pearl_marl.training.restoring import copied, observed, whole
-from pearl_marl.training.settings import (
-    SEEDS,
-    WIDEST,
-    TrainerSettings,
-    check_memory,
-    choice,
-    count,
-    number,
-)
+from pearl_marl.training.settings import NetworkSettings, check_memory, count, number
 from pearl_marl.training.trainer import Trainer
 
 
@@ -49,8 +41,8 @@ class Minibatch(NamedTuple):
 
 
 @dataclass(frozen=True)
-class DQNSettings(TrainerSettings):
-    """What a run of DQN depends on, each said beside its default."""
+class DQNSettings(NetworkSettings):
+    """What a run of DQN depends on beside :class:`NetworkSettings`, each said beside its default."""
 
     n_agents: int = count(512, most=MAX_SLOTS)  # that gather experience
     iterations: int = count(1000)  # steps of every agent
@@ -65,13 +57,8 @@ class DQNSettings(TrainerSettings):
     final_epsilon: float = number(0.02, most=1, formerly="explore_last")  # and at last
     # The part of the run in which it falls.
     exploration_fraction: float = number(0.2, most=1, above=True, formerly="exploring")
-    reward_scale: float = number(1.0, above=True)  # factor of rewards, before anything else
-    width: int = count(64, most=WIDEST)  # of the network's layers
-    sharing: str = choice(*SHARING)  # of networks, among the agents of a world
-    rewards: str = choice(*TEAM)  # an agent's own, or the mean or sum of its world's
     # Share of random actions where the trained policy is used.
     evaluation_epsilon: float = number(0.0, most=1, formerly="chance")
-    seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
 
 class DQN(Trainer):

@@ -14,41 +14,27 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from pearl_marl.policies.memory import MEMORY
-from pearl_marl.policies.network import SHARING
-from pearl_marl.spec import MAX_SLOTS, EnvSpec
+from pearl_marl.spec import EnvSpec
 from pearl_marl.training.actor_critic import ActorCritic
-from pearl_marl.training.agents import TEAM
 from pearl_marl.training.dense_ppo import PPOGradients, descend, fits, in_one_loop
 from pearl_marl.training.on_policy import OnPolicyTrainer
 from pearl_marl.training.rollout import RolloutBuffer
-from pearl_marl.training.settings import SEEDS, WIDEST, BlockSettings, choice, count, number
+from pearl_marl.training.settings import BlockSettings, count, number
 
 
 @dataclass(frozen=True)
 class PPOSettings(BlockSettings):
-    """What a run of PPO depends on, each said beside its default."""
+    """What a run of PPO depends on beside :class:`BlockSettings`, each said beside its default."""
 
-    n_agents: int = count(1024, most=MAX_SLOTS)  # that gather experience
-    rollout_length: int = count(32, formerly="depth")  # steps of each between updates
-    iterations: int = count(60)  # updates in all
+    rollout_length: int = count(32, formerly="depth")
     epochs: int = count(4)  # how often an update goes through its experience
     minibatch: int = count(4096)  # steps of single agents to learn from at a time
-    learning_rate: float = number(3e-3, most=1, above=True)  # of Adam, at first; falls to 0 evenly
     discount: float = number(0.98, most=1)  # gamma of the advantages
     gae_lambda: float = number(0.9, most=1, formerly="trace")  # of the advantages
     clip: float = number(0.2, above=True)  # how far a probability may move in an update, as a ratio
     entropy: float = number(0.0)  # its weight in the loss
-    reward_scale: float = number(1.0, above=True)  # factor of rewards, before anything else
-    width: int = count(64, most=WIDEST)  # of the networks' layers
-    sharing: str = choice(*SHARING)  # of networks, among the agents of a world
-    rewards: str = choice(*TEAM)  # an agent's own, or the mean or sum of its world's
     # Of the policy where it is used; 0 takes the most probable actions.
     temperature: float = number(0.0, formerly="chance")
-    memory: str = choice(*MEMORY)  # of policies
-    chunk_length: int = count(16)  # steps that gradients go back through, with a memory
-    blocks: int = count(1, most=MAX_SLOTS)  # see BlockSettings
-    seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
 
 class PPO(OnPolicyTrainer):

@@ -12,42 +12,27 @@ from functools import partial
 
 from torch import Tensor
 
-from pearl_marl.policies.memory import MEMORY
-from pearl_marl.policies.network import SHARING
-from pearl_marl.spec import MAX_SLOTS, EnvSpec
+from pearl_marl.spec import EnvSpec
 from pearl_marl.training.action_values import ActionValues, explored
-from pearl_marl.training.agents import TEAM
 from pearl_marl.training.dense_pqn import PQNGradients, fits
 from pearl_marl.training.on_policy import OnPolicyTrainer
 from pearl_marl.training.rollout import RolloutBuffer
-from pearl_marl.training.settings import SEEDS, WIDEST, BlockSettings, choice, count, number
+from pearl_marl.training.settings import BlockSettings, count, number
 
 
 @dataclass(frozen=True)
 class PQNSettings(BlockSettings):
-    """What a run of PQN depends on, each said beside its default."""
+    """What a run of PQN depends on beside :class:`BlockSettings`, each said beside its default."""
 
-    n_agents: int = count(1024, most=MAX_SLOTS)  # that gather experience
-    rollout_length: int = count(32)  # steps of each between updates
-    iterations: int = count(60)  # updates in all
     epochs: int = count(2)  # how often an update goes through its experience
     minibatch: int = count(1024)  # steps of single agents to learn from at a time
-    learning_rate: float = number(3e-3, most=1, above=True)  # of Adam, at first; falls to 0 evenly
     discount: float = number(0.99, most=1)  # gamma
     q_lambda: float = number(0.65, most=1)  # of the returns
     epsilon: float = number(1.0, most=1)  # share of random actions at first
     final_epsilon: float = number(0.05, most=1)  # and at last
     exploration_fraction: float = number(0.5, most=1, above=True)  # the part of the run in which it falls
-    reward_scale: float = number(1.0, above=True)  # factor of rewards, before anything else
-    width: int = count(64, most=WIDEST)  # of the network's layers
-    sharing: str = choice(*SHARING)  # of networks, among the agents of a world
-    rewards: str = choice(*TEAM)  # an agent's own, or the mean or sum of its world's
     # Share of random actions where the trained policy is used.
     evaluation_epsilon: float = number(0.0, most=1)
-    memory: str = choice(*MEMORY)  # of policies
-    chunk_length: int = count(16)  # steps that gradients go back through, with a memory
-    blocks: int = count(1, most=MAX_SLOTS)  # see BlockSettings
-    seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
     @property
     def gae_lambda(self) -> float:

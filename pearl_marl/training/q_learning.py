@@ -22,7 +22,7 @@ from pearl_marl.policies.trained import TabularPolicy
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.agents import Agents
 from pearl_marl.training.restoring import copied
-from pearl_marl.training.settings import SEEDS, TrainerSettings, check_memory, count, number
+from pearl_marl.training.settings import TrainerSettings, check_memory, count, number
 from pearl_marl.training.trainer import Trainer
 
 
@@ -39,7 +39,6 @@ class QLearningSettings(TrainerSettings):
     # After 1 / learning_rate_decay updates an entry moves half as far; with 0, always as far.
     learning_rate_decay: float = number(0.0, formerly="fading")
     discount: float = number(1.0, most=1)  # gamma
-    seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -14,7 +14,10 @@ from pearl_marl.batch.results import memory_of_machine
 from pearl_marl.checks import MANY, NumberRange
 from pearl_marl.devices import Cuda
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec
+from pearl_marl.policies.memory import MEMORY
+from pearl_marl.policies.network import SHARING
+from pearl_marl.spec import MAX_SLOTS, EnvSpec
+from pearl_marl.training.agents import TEAM
 
 SEEDS = 2**63 - 1
 """The largest seed that PyTorch takes."""
@@ -57,13 +60,16 @@ def choice(*words: str) -> Any:
     return _setting(words[0], OneOf(words), "")
 
 
+@dataclass(frozen=True)
 class TrainerSettings:
     """A dataclass of :func:`count`, :func:`number` and :func:`choice`, each within its range."""
+
+    seed: int = count(0, least=0, most=SEEDS)  # of everything random
 
     @classmethod
     def range(cls, name: str) -> NumberRange | OneOf:
         """Return the values that a setting may have."""
-        (found,) = (f.metadata["range"] for f in fields(cls) if f.name == name)  # type: ignore[arg-type]
+        (found,) = (f.metadata["range"] for f in fields(cls) if f.name == name)
         return found  # type: ignore[no-any-return]
 
     @classmethod
@@ -81,33 +87,46 @@ class TrainerSettings:
     @classmethod
     def successors(cls) -> dict[str, str]:
         """Return the names of renamed settings, by those that they had before."""
-        named = ((f.metadata["formerly"], f.name) for f in fields(cls))  # type: ignore[arg-type]
+        named = ((f.metadata["formerly"], f.name) for f in fields(cls))
         return {old: new for old, new in named if old}
 
     @classmethod
     def defaults(cls) -> dict[str, Any]:
         """Return the default of each setting."""
-        return {f.name: f.default for f in fields(cls)}  # type: ignore[arg-type]
+        return {f.name: f.default for f in fields(cls)}
 
     def __post_init__(self) -> None:
-        for setting in fields(self):  # type: ignore[arg-type]
-            value, possible = getattr(self, setting.name), self.range(setting.name)
+        for setting in fields(self):
+            value, possible = getattr(self, setting.name), setting.metadata["range"]
             if value not in possible:
                 raise ArgumentError(f"setting {setting.name!r} is {value!r}; it must be {possible}")
 
 
-class BlockSettings(TrainerSettings):
+@dataclass(frozen=True)
+class NetworkSettings(TrainerSettings):
+    """Settings of an algorithm that learns networks."""
+
+    reward_scale: float = number(1.0, above=True)  # factor of rewards, before anything else
+    width: int = count(64, most=WIDEST)  # of the networks' layers
+    sharing: str = choice(*SHARING)  # of networks, among the agents of a world
+    rewards: str = choice(*TEAM)  # an agent's own, or the mean or sum of its world's
+
+
+@dataclass(frozen=True)
+class BlockSettings(NetworkSettings):
     """Settings of an algorithm that learns from rollouts.
 
     Agents are in ``blocks``, which the policy is given one at a time, each with random numbers of its own.
     The result depends on the number of blocks, and not on the number of workers that share them.
     """
 
-    n_agents: int
-    rollout_length: int
-    blocks: int
-    memory: str
-    chunk_length: int
+    n_agents: int = count(1024, most=MAX_SLOTS)  # that gather experience
+    rollout_length: int = count(32)  # steps of each between updates
+    iterations: int = count(60)  # updates in all
+    learning_rate: float = number(3e-3, most=1, above=True)  # of Adam, at first; falls to 0 evenly
+    memory: str = choice(*MEMORY)  # of policies
+    chunk_length: int = count(16)  # steps that gradients go back through, with a memory
+    blocks: int = count(1, most=MAX_SLOTS)  # see above
 
     def __post_init__(self) -> None:
         super().__post_init__()
