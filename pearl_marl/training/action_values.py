@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -46,11 +46,6 @@ class ActionValues(nn.Module):
         self.memory_size = settings.width
         self.mixer: Any = mixer
         self.central = hasattr(mixer, "see")
-
-    @classmethod
-    def of(cls, spec: EnvSpec, settings: Any) -> Self:
-        """Return the model of a run with these settings."""
-        return cls(spec, settings)
 
     def see(self, inputs: Inputs) -> None:
         """Take a batch into the statistics by which observations are standardised."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -57,15 +57,11 @@ class ActorCritic(nn.Module):
     ----------
     spec
         The environment that they are for.
-    width
-        Of their networks' layers.
-    sharing, temperature
-        See :class:`~pearl_marl.policies.trained.NetworkPolicy`.
+    settings
+        The run's. With a memory, a critic that is not central remembers too.
     central
         Whether the critic is given the state of the whole world, and has an output for each of its agents,
         instead of what the agent observes. The policy is not, so agents act on their own all the same.
-    memory
-        See :class:`~pearl_marl.policies.trained.NetworkPolicy`. A critic that is not central remembers too.
     """
 
     of_best = False
@@ -74,26 +70,19 @@ class ActorCritic(nn.Module):
     mixer = None
     """Makes the value of a team of its agents' values: see :mod:`pearl_marl.training.mixers`."""
 
-    @classmethod
-    def of(cls, spec: EnvSpec, settings: Any, central: bool = False) -> Self:
-        """Return the model of a run with these settings."""
-        return cls(spec, settings.width, settings.sharing, settings.temperature, central, settings.memory)
-
-    def __init__(
-        self,
-        spec: EnvSpec,
-        width: int,
-        sharing: str = "all",
-        temperature: float = 0.0,
-        central: bool = False,
-        memory: str = "none",
-    ) -> None:
+    def __init__(self, spec: EnvSpec, settings: Any, central: bool = False) -> None:
         super().__init__()
+        width = settings.width
         self.continuous = isinstance(spec.action_space, Box)
         self.central = central
         self.agents_per_state = spec.agents if central else 1  # which the critic is given
         self.policy = NetworkPolicy(
-            spec, "mean" if self.continuous else "logits", width, sharing, temperature, memory=memory
+            spec,
+            "mean" if self.continuous else "logits",
+            width,
+            settings.sharing,
+            settings.temperature,
+            memory=settings.memory,
         )
         network = self.actor
         # For pictures, most of the work is in the first layers: actor and critic share them.

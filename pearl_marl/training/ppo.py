@@ -55,7 +55,7 @@ class PPO(OnPolicyTrainer):
 
     def made(self, spec: EnvSpec, settings: PPOSettings) -> ActorCritic:
         """Return the model that is learned."""
-        return ActorCritic.of(spec, settings, self.central)
+        return ActorCritic(spec, settings, self.central)
 
     @property
     def compiled(self) -> bool:

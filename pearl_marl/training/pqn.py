@@ -48,7 +48,7 @@ class PQN(OnPolicyTrainer):
 
     def made(self, spec: EnvSpec, settings: PQNSettings) -> ActionValues:
         """Return the model that is learned."""
-        return ActionValues.of(spec, settings)
+        return ActionValues(spec, settings)
 
     @property
     def compiled(self) -> bool:

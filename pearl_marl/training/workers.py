@@ -37,7 +37,7 @@ class Worker:
         """Make the agents; return their state. In the parcel are arguments of :class:`RolloutWorker`."""
         torch.set_num_threads(1)
         spec, device, settings, blocks, model = unpacked(packed)
-        self.model = model.of(spec, settings)
+        self.model = model(spec, settings)
         gathers = RecurrentWorker if self.model.policy.remembers else RolloutWorker
         self.worker: Any = gathers(spec, device, settings, self.model, blocks)
         self.model.to(self.worker.where)

@@ -18,7 +18,7 @@ flops = importlib.import_module("torch.utils.flop_counter")
 
 
 def model_of(name: str) -> Any:
-    return actor_critic.ActorCritic.of(get_spec(name), ppo.PPOSettings(width=8))
+    return actor_critic.ActorCritic(get_spec(name), ppo.PPOSettings(width=8))
 
 
 def test_multiplications_are_those_that_pytorch_counts() -> None:

@@ -14,6 +14,7 @@ from pearl_marl.envs import get_spec
 from pearl_marl.policies.network import Network
 from pearl_marl.training.actor_critic import ActorCritic
 from pearl_marl.training.adam import Adam
+from pearl_marl.training.ppo import PPOSettings
 
 
 def textbook(model: ActorCritic, outputs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
@@ -29,7 +30,7 @@ def textbook(model: ActorCritic, outputs: Tensor, actions: Tensor) -> tuple[Tens
 def test_probabilities_and_entropy(name: str) -> None:
     torch.manual_seed(0)
     spec = get_spec(name)
-    model = ActorCritic(spec, 8)
+    model = ActorCritic(spec, PPOSettings(width=8))
     outputs = torch.randn(64, model.policy.outputs)
     actions = outputs + torch.randn(64, 1) if model.continuous else torch.randint(2, (64,))
     torch.testing.assert_close(model.evaluate(outputs, actions), textbook(model, outputs, actions))

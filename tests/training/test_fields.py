@@ -62,7 +62,7 @@ def test_a_central_critic_too() -> None:
 
 
 def test_fields_are_chosen_independently() -> None:
-    model = ActorCritic(ROVER, 8)
+    model = ActorCritic(ROVER, PPOSettings(width=8))
     assert model.policy.heads == [3, 400]
     chance = torch.Generator().manual_seed(0)
     outputs = torch.randn(5, 403, generator=chance, requires_grad=True)
@@ -76,7 +76,7 @@ def test_fields_are_chosen_independently() -> None:
 
 
 def test_each_field_is_drawn() -> None:
-    policy = ActorCritic(LAMPS, 8, temperature=1.0).policy
+    policy = ActorCritic(LAMPS, PPOSettings(width=8, temperature=1.0)).policy
     actions = policy.act(torch.zeros(4000, 4, dtype=torch.int8)).numpy()
     assert np.abs(actions.mean(0) - 0.5).max() < 0.1
     assert np.abs(np.corrcoef(actions.T) - np.eye(3)).max() < 0.1
@@ -86,11 +86,11 @@ def test_numbers_reach_both_ends_of_their_field() -> None:
     """Of a Box that is not as far from 0 on either side."""
     flat = replace(SLIDE, observation_space=Box(0, 1, (24,), np.bool_), configure=None)
     for spec in (GLIDER, flat):
-        policy, space = ActorCritic(spec, 8).policy, spec.action_space
+        policy, space = ActorCritic(spec, PPOSettings(width=8)).policy, spec.action_space
         for output, end in ((-3.0, space.low), (3.0, space.high), (0.0, (space.low + space.high) / 2)):
             given = policy.within_bounds(torch.full((1, len(end)), output)).numpy()
             np.testing.assert_array_equal(given, end[None])
-        assert set(policy.state_dict()) == set(ActorCritic(spec, 8).policy.state_dict())
+        assert set(policy.state_dict()) == set(ActorCritic(spec, PPOSettings(width=8)).policy.state_dict())
         assert "low" not in policy.state_dict()
 
 
@@ -118,4 +118,4 @@ def test_several_numbers_choose_a_row() -> None:
     rows = np.array([[3, 1], [9, 0]])
     np.testing.assert_array_equal(table_policy(values, spec)(rows), values[[3, 9], [1, 0]].argmax(1))
     for each in FIELDS:
-        ActorCritic(each, 4)
+        ActorCritic(each, PPOSettings(width=4))
