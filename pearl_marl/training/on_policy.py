@@ -85,13 +85,8 @@ class OnPolicyTrainer(Trainer):
         """Return the model that is learned."""
         raise NotImplementedError
 
-    @property
-    def compiled(self) -> bool:
-        """Whether compiled loops find the gradients, instead of autograd."""
-        raise NotImplementedError
-
-    def loops(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
-        """Return compiled loops that do what :meth:`autograd` does with a rollout's rows."""
+    def loops(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor] | None:
+        """Return compiled loops that do what :meth:`autograd` does with a rollout's rows, if they can."""
         raise NotImplementedError
 
     def autograd(self, samples: RolloutBuffer, minibatch: Tensor) -> Tensor:
@@ -100,7 +95,7 @@ class OnPolicyTrainer(Trainer):
 
     def gradients(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
         """Return a function of some of a rollout's rows, or chunks, that does what :meth:`autograd` does."""
-        return self.loops(samples) if self.compiled else partial(self.autograd, samples)
+        return self.loops(samples) or partial(self.autograd, samples)
 
     def all_steps(self, samples: RolloutBuffer, minibatch: Tensor) -> tuple[Tensor, Tensor, RolloutBuffer]:
         """Return the model's outputs and values for rows, or for all steps of chunks; and these samples."""
@@ -153,8 +148,8 @@ class OnPolicyTrainer(Trainer):
     def descend(self, samples: RolloutBuffer, rows: Tensor, rate: float) -> Tensor:
         """Learn from minibatches of these rows, one after the other; return the losses of each."""
         gradients, losses = self.gradients(samples), []
-        most = min(self.minibatch, len(rows))
-        with left_to_loops(self.threads) if self.compiled else self.halves.shared(most, self.threads):
+        by_autograd, most = isinstance(gradients, partial), min(self.minibatch, len(rows))
+        with self.halves.shared(most, self.threads) if by_autograd else left_to_loops(self.threads):
             for minibatch in self.minibatches(rows):
                 losses.append(gradients(minibatch))
                 self.optimiser.step(rate)

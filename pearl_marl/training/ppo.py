@@ -7,7 +7,6 @@ this module learns from them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -57,13 +56,10 @@ class PPO(OnPolicyTrainer):
         """Return the model that is learned."""
         return ActorCritic(spec, settings, self.central)
 
-    @property
-    def compiled(self) -> bool:
-        """Whether compiled loops find the gradients, instead of autograd."""
-        return fits(self.model)
-
-    def loops(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
-        """Return compiled loops that do what :meth:`autograd` does with a rollout's rows."""
+    def loops(self, samples: RolloutBuffer) -> PPOGradients | None:
+        """See :class:`OnPolicyTrainer`."""
+        if not fits(self.model):
+            return None
         return PPOGradients(self.model, samples, self.settings.clip, self.settings.entropy)
 
     def descend(self, samples: RolloutBuffer, rows: Tensor, rate: float) -> Tensor:

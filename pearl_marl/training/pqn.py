@@ -6,7 +6,6 @@ diverging. Targets are lambda-returns of the rollout. In worlds it is independen
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -50,14 +49,9 @@ class PQN(OnPolicyTrainer):
         """Return the model that is learned."""
         return ActionValues(spec, settings)
 
-    @property
-    def compiled(self) -> bool:
-        """Whether compiled loops find the gradients, instead of autograd."""
-        return fits(self.model, self.team)
-
-    def loops(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
-        """Return compiled loops that do what :meth:`autograd` does with a rollout's rows."""
-        return PQNGradients(self.model, samples, self.team)
+    def loops(self, samples: RolloutBuffer) -> PQNGradients | None:
+        """See :class:`OnPolicyTrainer`."""
+        return PQNGradients(self.model, samples, self.team) if fits(self.model, self.team) else None
 
     def autograd(self, samples: RolloutBuffer, minibatch: Tensor) -> Tensor:
         """Leave the gradients of a minibatch's loss with the parameters; return the loss."""
