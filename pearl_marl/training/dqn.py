@@ -21,7 +21,7 @@ from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.action_values import explored
 from pearl_marl.training.adam import Adam
 from pearl_marl.training.agents import Agents, observed_spec, team_rewards
-from pearl_marl.training.dense_dqn import Steps, gradients_of
+from pearl_marl.training.dense_values import Steps, huber_gradients_of
 from pearl_marl.training.restoring import copied, observed, whole
 from pearl_marl.training.settings import NetworkSettings, check_memory, count, number
 from pearl_marl.training.trainer import Trainer
@@ -188,7 +188,7 @@ class DQN(Trainer):
         target: Any = self.target.network
         if masks is None:
             masks = torch.empty(0, self.policy.outputs, dtype=torch.int8)
-        loss = gradients_of()(
+        loss = huber_gradients_of()(
             network.layers(),
             target.layers(),
             network.layers({parameter: parameter.grad for parameter in network.parameters()}),

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.action_values import ActionValues, explored
-from pearl_marl.training.dense_pqn import PQNGradients, fits
+from pearl_marl.training.dense_values import PQNGradients, fits
 from pearl_marl.training.on_policy import OnPolicyTrainer
 from pearl_marl.training.rollout import RolloutBuffer
 from pearl_marl.training.settings import BlockSettings, count, number

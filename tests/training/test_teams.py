@@ -20,7 +20,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Bits
 from pearl_marl.spec import Golden
-from pearl_marl.training.dense_pqn import PQNGradients
+from pearl_marl.training.dense_values import PQNGradients
 from pearl_marl.training.mixers import MonotonicMixer, SumMixer
 from pearl_marl.training.recurrent import chunked
 from pearl_marl.training.run import ALGORITHMS, SETTINGS, evaluate, settings_for
