@@ -67,6 +67,17 @@ class Weights(NamedTuple):
     log_deviation: Array  # of continuous actions; else empty
 
 
+class Task(NamedTuple):
+    """Networks that share no layers, and the samples that they learn from."""
+
+    weights: Weights
+    gradients: Weights
+    actor_inputs: NetworkInputs
+    critic_inputs: NetworkInputs  # a row for each state
+    agents_per_state: int  # rows of samples that share one; the critic is asked once where these follow
+    samples: Samples
+
+
 class Loss(NamedTuple):
     """What the loss of a row depends on beside the row: settings, and statistics of the minibatch."""
 
@@ -220,30 +231,29 @@ def _room(outputs: Array, stride: int, n: int) -> Scored:
 
 
 @called
-def _actor_gradients(weights, gradients, inputs, samples, rows, loss, figures):  # type: ignore[no-untyped-def]
+def _actor_gradients(task: Task, rows: Array, loss: Loss, figures: Array) -> None:
     """Compute the gradients by the actor's weights; write all of ``figures`` but the critic's loss."""
-    actor, sums = weights.actor, gradient_sums(gradients.actor)
-    by_padded, tile = padded(actor), tile_of(actor)
-    n, out, taken = len(actor.bias3), len(by_padded.bias3), _gathered(samples, rows)
+    actor, gradients, deviation = task.weights.actor, task.gradients.actor, task.weights.log_deviation
+    by_padded, tile, sums = padded(actor), tile_of(actor), gradient_sums(gradients)
+    n, out, taken = len(actor.bias3), len(by_padded.bias3), _gathered(task.samples, rows)
     score, by_deviation = _room(tile.outputs, out, n), 0.0
     for first in range(0, len(rows), ROWS):
         some = rows[first : first + ROWS]
-        forward_rows(actor, by_padded, inputs, some, tile)
+        forward_rows(actor, by_padded, task.actor_inputs, some, tile)
         for s in range(ROWS):
             for k in range(n if s < len(some) else 0, out):
                 tile.outputs[s * out + k] = 0
-        by_deviation += _score(score, taken, (first, len(some)), weights.log_deviation, loss, figures)
-        backward_rows(actor, by_padded, inputs, some, tile, sums, gradients.actor)
-    store_gradients(sums, gradients.actor)
-    if len(gradients.log_deviation):
-        gradients.log_deviation[0] = by_deviation
+        by_deviation += _score(score, taken, (first, len(some)), deviation, loss, figures)
+        backward_rows(actor, by_padded, task.actor_inputs, some, tile, sums, gradients)
+    store_gradients(sums, gradients)
+    if len(deviation):
+        task.gradients.log_deviation[0] = by_deviation
 
 
 @called
-def _critic_gradients(  # type: ignore[no-untyped-def]
-    critic, gradients, inputs, agents_per_state, samples, rows, share, figures
-):
+def _critic_gradients(task: Task, rows: Array, share: float, figures: Array) -> None:
     """Compute the gradients by the critic's weights; write the critic's loss."""
+    critic, gradients, samples = task.weights.critic, task.gradients.critic, task.samples
     by_padded, tile, sums = padded(critic), tile_of(critic), gradient_sums(gradients)
     out, outputs, returns = len(by_padded.bias3), tile.outputs, samples.returns[rows]
     column = samples.column[rows] if len(samples.column) else samples.column
@@ -251,7 +261,7 @@ def _critic_gradients(  # type: ignore[no-untyped-def]
     for first in range(0, len(rows), ROWS):
         some, n_asked = rows[first : first + ROWS], 0
         for s in range(len(some)):
-            state = some[s] // agents_per_state
+            state = some[s] // task.agents_per_state
             if n_asked == 0 or asked[n_asked - 1] != state:
                 asked[n_asked] = state
                 n_asked += 1
@@ -259,40 +269,26 @@ def _critic_gradients(  # type: ignore[no-untyped-def]
             if len(column):
                 answer[s] += column[first + s]
         of_critic = asked[:n_asked]
-        forward_rows(critic, by_padded, inputs, of_critic, tile)
+        forward_rows(critic, by_padded, task.critic_inputs, of_critic, tile)
         for s in range(len(some)):
             errors[s] = outputs[answer[s]] - returns[first + s]
             figures[1] += errors[s] * errors[s]
         outputs[:] = 0
         for s in range(len(some)):
             outputs[answer[s]] += errors[s] * share
-        backward_rows(critic, by_padded, inputs, of_critic, tile, sums, gradients)
+        backward_rows(critic, by_padded, task.critic_inputs, of_critic, tile, sums, gradients)
     store_gradients(sums, gradients)
 
 
-def _gradients(
-    weights: Weights,
-    gradients: Weights,
-    actor_inputs: NetworkInputs,
-    critic_inputs: NetworkInputs,
-    agents_per_state: int,
-    samples: Samples,
-    rows: Array,
-    loss: Loss,
-    figures: Array,
-) -> None:
+def _gradients(task: Task, rows: Array, loss: Loss, figures: Array) -> None:
     """Compute the gradients of the loss of some rows of a minibatch.
-
-    The critic's inputs have a row for each state, which so many rows of the samples share. It is asked once
-    where these follow each other.
 
     Into ``figures``, shape (4,), go the loss of the policy, that of the critic, the entropy, and the share of
     ratios that were clipped.
     """
     figures[:] = 0
-    _actor_gradients(weights, gradients, actor_inputs, samples, rows, loss, figures)
-    critic = weights.critic, gradients.critic, critic_inputs, agents_per_state
-    _critic_gradients(*critic, samples, rows, loss.share, figures)
+    _actor_gradients(task, rows, loss, figures)
+    _critic_gradients(task, rows, loss.share, figures)
     for k in range(4):
         figures[k] *= loss.share
 
@@ -303,12 +299,7 @@ ACTOR, CRITIC, BOTH = 0, 1, 2
 
 def _descend(
     network: int,
-    weights: Weights,
-    gradients: Weights,
-    actor_inputs: NetworkInputs,
-    critic_inputs: NetworkInputs,
-    agents_per_state: int,
-    samples: Samples,
+    task: Task,
     rows: Array,
     edges: Array,
     clip: float,
@@ -328,13 +319,12 @@ def _descend(
     for k in range(len(moves.rates)):
         some = rows[edges[k] : edges[k + 1]]
         if network != CRITIC:
-            loss, mine = _loss_called(samples.advantages, some, clip, entropy), figures[ACTOR, k]
-            _actor_gradients(weights, gradients, actor_inputs, samples, some, loss, mine)
+            loss, mine = _loss_called(task.samples.advantages, some, clip, entropy), figures[ACTOR, k]
+            _actor_gradients(task, some, loss, mine)
             mine *= loss.share
         if network != ACTOR:
-            critic, share = (weights.critic, gradients.critic, critic_inputs, agents_per_state), 1 / len(some)
-            _critic_gradients(*critic, samples, some, share, figures[CRITIC, k])
-            figures[CRITIC, k] *= share
+            _critic_gradients(task, some, 1 / len(some), figures[CRITIC, k])
+            figures[CRITIC, k] *= 1 / len(some)
         if network != BOTH and not arrive(shared, network, 2 * k + 1):
             return
         if network != ACTOR:
@@ -447,12 +437,12 @@ def descend(
     moves = optimiser.steps_by_others(rate, len(minibatches))
     figures, shared = np.zeros((2, len(minibatches), 4)), barrier.arrivals()
     parameters: Any = optimiser.parameters
-    gradients = loops.gradients({parameter: parameter.grad for parameter in parameters})
-    arguments = *loops.arguments(gradients), rows, edges, settings.clip, settings.entropy
+    task = loops.task(loops.gradients({parameter: parameter.grad for parameter in parameters}))
+    losses = settings.clip, settings.entropy
 
     def learn(network: int) -> None:
         with barrier.released_by_errors(shared):
-            _descend_of()(network, *arguments, moves, figures, shared)
+            _descend_of()(network, task, rows, edges, *losses, moves, figures, shared)
 
     if threads > 1:
         with barrier.released_by_errors(shared):
@@ -470,10 +460,9 @@ class _SeparateLayers:
         self._weights = self.gradients(None)
         inputs = rollout.inputs
         critic_obs, critic_position = inputs.obs, inputs.position
-        self._agents_per_state = model.agents_per_state
         if model.central:
             assert inputs.state is not None
-            critic_obs, critic_position = inputs.state[:: self._agents_per_state], None
+            critic_obs, critic_position = inputs.state[:: model.agents_per_state], None
         observed = model.actor.observed(inputs.obs, inputs.position)
         self._inputs = observed, model.critic.observed(critic_obs, critic_position)
 
@@ -488,12 +477,12 @@ class _SeparateLayers:
     def __call__(self, loss: Loss, rows: Array, gradients: Weights) -> Array:
         """Write the gradients; return the losses."""
         figures = np.empty(4)
-        _gradients_of()(*self.arguments(gradients), rows, loss, figures)
+        _gradients_of()(self.task(gradients), rows, loss, figures)
         return figures
 
-    def arguments(self, gradients: Weights) -> tuple[Any, ...]:
-        """Return the first arguments of compiled loops, which write these gradients."""
-        return self._weights, gradients, *self._inputs, self._agents_per_state, self._samples
+    def task(self, gradients: Weights) -> Task:
+        """Return what compiled loops are given to write these gradients."""
+        return Task(self._weights, gradients, *self._inputs, self._model.agents_per_state, self._samples)
 
 
 class _SharedGradients(NamedTuple):
