@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import dataclasses
-import io
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -15,10 +13,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from pearl_marl.base.files import check_files, replace_file
+from pearl_marl.base.files import check_files
 from pearl_marl.errors import ArgumentError
-from pearl_marl.rendering import new_figure, save_figure
 from pearl_marl.training.run import Training, TrainingRun
+from pearl_marl.training.run_folder import curve, write_table
 from pearl_marl.training.trainer import DivergedError
 
 CURVES, SPREAD = "learning_curves.png", "spread.csv"
@@ -176,28 +174,16 @@ class Population:
 
     def _write_spread(self) -> None:
         rows = self.spread()
-        text = io.StringIO()
-        writer = csv.DictWriter(text, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-        replace_file(self.folder / SPREAD, text.getvalue().encode())
-        figure = new_figure(7, 4)
-        axes = figure.subplots()
-        steps = [row["agent_steps"] / 1e6 for row in rows]
-        for run in self.sound:
-            own = [(row["agent_steps"] / 1e6, row["eval_return"]) for row in run.rows]
-            axes.plot(*zip(*own, strict=True), color="grey", alpha=0.3, linewidth=0.7)
-        axes.fill_between(steps, [row["least"] for row in rows], [row["greatest"] for row in rows], alpha=0.2)
-        axes.plot(steps, [row["median"] for row in rows], label=f"median of {len(self.sound)} seeds")
-        if self.training.goal is not None:
-            axes.axhline(
-                self.training.goal, color="grey", linestyle="--", label=f"goal: {self.training.goal:g}"
-            )
+        write_table(self.folder / SPREAD, rows)
         title = f"{self.runs[0].spec.name}: {self.runs[0].algorithm}, {len(self.sound)} seeds"
-        axes.set(xlabel="agent-steps (millions)", ylabel="mean return of best actions", title=title)
-        axes.grid(alpha=0.3)
-        axes.legend()
-        save_figure(figure, self.folder / CURVES)
+        with curve(self.folder / CURVES, title, "mean return of best actions", self.training.goal) as axes:
+            for run in self.sound:
+                own = [(row["agent_steps"] / 1e6, row["eval_return"]) for row in run.rows]
+                axes.plot(*zip(*own, strict=True), color="grey", alpha=0.3, linewidth=0.7)
+            columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+            steps = columns["agent_steps"] / 1e6
+            axes.fill_between(steps, columns["least"], columns["greatest"], alpha=0.2)
+            axes.plot(steps, columns["median"], label=f"median of {len(self.sound)} seeds")
 
 
 def _returns_at(rows: Sequence[dict[str, Any]], steps: Sequence[int]) -> list[float]:

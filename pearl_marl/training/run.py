@@ -230,8 +230,7 @@ class TrainingRun:
             "goal": training.goal,
             "evaluate_every": self.evaluate_every,
         }
-        kind = SETTINGS[self.algorithm]
-        self.folder = RunFolder(folder, about, kind.successors(), kind.defaults(), track)
+        self.folder = RunFolder(folder, about, SETTINGS[self.algorithm], track)
         self.films = films
         if films:  # what cannot be filmed is refused at once
             Video(spec, folder / "film.gif").close()

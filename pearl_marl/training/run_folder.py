@@ -15,7 +15,7 @@ import json
 import pickletools
 import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from pearl_marl.errors import ArgumentError, brief, one_line
 from pearl_marl.evaluation.machine import machine
 from pearl_marl.rendering import new_figure, save_figure
 from pearl_marl.training import tracking
+from pearl_marl.training.settings import TrainerSettings
 
 CHECKPOINT, PREVIOUS = "checkpoint.pt", "checkpoint.previous.pt"
 CONFIG, METRICS, POLICY, CURVE = "config.json", "metrics.csv", "policy.safetensors", "learning_curve.png"
@@ -45,10 +46,8 @@ class RunFolder:
         The folder.
     settings
         What the run depends on, by name; JSON.
-    successors
-        Names of the algorithm's renamed settings, by those that an older run has for them.
-    defaults
-        Of the algorithm's settings: an older run has them where it does not know a setting.
+    kind
+        The class of the algorithm's settings, by which those of an older run are understood.
     track
         A service that gets the metrics, too: see :mod:`pearl_marl.training.tracking`.
     """
@@ -57,14 +56,12 @@ class RunFolder:
         self,
         path: Path,
         settings: dict[str, Any],
-        successors: Mapping[str, str] | None = None,
-        defaults: Mapping[str, Any] | None = None,
+        kind: type[TrainerSettings] = TrainerSettings,
         track: str | None = None,
     ) -> None:
         if track is not None:
             tracking.check(track)
-        self.path = path
-        self._successors, self._defaults = successors or {}, defaults or {}
+        self.path, self._kind = path, kind
         self.rows: list[dict[str, Any]] = []
         self._settings = json.loads(json.dumps(settings))
         self._board: SummaryWriter | None = None
@@ -87,7 +84,7 @@ class RunFolder:
             if config.exists():
                 self._check(_settings(config), f"{self.path} holds")
             if self._track is not None:
-                about = {k: v for k, v in _flat(self._settings, {}, {}).items() if v is not None}
+                about = {k: v for k, v in self._flat(self._settings).items() if v is not None}
                 self._tracker = tracking.tracker(self._track, self.path, about)
             try:
                 yield
@@ -104,7 +101,7 @@ class RunFolder:
 
     def _check(self, theirs: dict[str, Any], what_is: str) -> None:
         """Refuse settings that are not this run's."""
-        before, now = _flat(theirs, self._successors, self._defaults), _flat(self._settings, {}, {})
+        before, now = self._flat(theirs), self._flat(self._settings)
         # Where nobody gives evaluate_every, it follows from the iterations.
         for name in sorted({**before, **now}, key="evaluate_every".__eq__):
             # As text: True is 1 in Python.
@@ -113,6 +110,18 @@ class RunFolder:
                     f"{what_is} a run with {one_line(name)} {brief(before.get(name))}, not "
                     f"{now.get(name)!r}: give the same settings to go on with it, or another --out"
                 )
+
+    def _flat(self, settings: dict[str, Any]) -> dict[str, Any]:
+        """Return a run's settings with those of its algorithm among them, by the names that they have now.
+
+        An older run has the default of a setting that it does not know.
+        """
+        own = settings.get("settings")
+        if not isinstance(own, dict):
+            return settings
+        successors: Mapping[str, str] = self._kind.successors()
+        renamed = {successors.get(name, name): value for name, value in own.items()}
+        return {**settings, **self._kind.defaults(), **renamed, "settings": None}
 
     def resume(self) -> dict[str, Any] | None:
         """Return the last checkpoint, and take up its metrics; ``None`` where there is none.
@@ -204,29 +213,41 @@ class RunFolder:
 
     def write_metrics(self) -> None:
         """Write metrics.csv."""
-        text = io.StringIO()
-        names = list(dict.fromkeys(name for row in self.rows for name in row))
-        writer = csv.DictWriter(text, names)
-        writer.writeheader()
-        writer.writerows(self.rows)
-        replace_file(self.path / METRICS, text.getvalue().encode())
+        write_table(self.path / METRICS, self.rows)
         if self._board is not None:
             self._board.flush()
 
     def draw_curve(self, title: str, goal: float | None) -> None:
         """Draw the returns of training and of evaluations over agent-steps."""
-        figure = new_figure(7, 4)
-        axes = figure.subplots()
-        for name, label in (("train_return", "episodes in training"), ("eval_return", "best actions")):
-            points = [(row["agent_steps"] / 1e6, row[name]) for row in self.rows if row.get(name) is not None]
-            if points:
-                axes.plot(*zip(*points, strict=True), label=label, marker=".", markersize=4)
-        if goal is not None:
-            axes.axhline(goal, color="grey", linestyle="--", label=f"goal: {goal:g}")
-        axes.set(xlabel="agent-steps (millions)", ylabel="mean return", title=title)
-        axes.grid(alpha=0.3)
-        axes.legend()
-        save_figure(figure, self.path / CURVE)
+        with curve(self.path / CURVE, title, "mean return", goal) as axes:
+            for name, label in (("train_return", "episodes in training"), ("eval_return", "best actions")):
+                known = [row for row in self.rows if row.get(name) is not None]
+                if known:
+                    points = [(row["agent_steps"] / 1e6, row[name]) for row in known]
+                    axes.plot(*zip(*points, strict=True), label=label, marker=".", markersize=4)
+
+
+def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write rows as CSV, with a column for each name that any of them has."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(dict.fromkeys(name for row in rows for name in row)))
+    writer.writeheader()
+    writer.writerows(rows)
+    replace_file(path, text.getvalue().encode())
+
+
+@contextlib.contextmanager
+def curve(path: Path, title: str, ylabel: str, goal: float | None) -> Iterator[Any]:
+    """Yield the axes of a plot over agent-steps, in millions; the block draws, and then it is written."""
+    figure = new_figure(7, 4)
+    axes = figure.subplots()
+    yield axes
+    if goal is not None:
+        axes.axhline(goal, color="grey", linestyle="--", label=f"goal: {goal:g}")
+    axes.set(xlabel="agent-steps (millions)", ylabel=ylabel, title=title)
+    axes.grid(alpha=0.3)
+    axes.legend()
+    save_figure(figure, path)
 
 
 def _settings(config: Path) -> dict[str, Any]:
@@ -274,18 +295,3 @@ def _is_row(row: Any) -> bool:
         and is_number(row.get("eval_return"))
         and is_number(row.get("seconds"))
     )
-
-
-def _flat(
-    settings: dict[str, Any], successors: Mapping[str, str], defaults: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return a run's settings with those of its algorithm among them, by the names that they have now."""
-    own = settings.get("settings")
-    if not isinstance(own, dict):
-        return settings
-    return {
-        **settings,
-        **defaults,
-        **{successors.get(name, name): value for name, value in own.items()},
-        "settings": None,
-    }
