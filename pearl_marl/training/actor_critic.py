@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,13 +31,17 @@ class Inputs(NamedTuple):
     memory: Tensor | None = None
     begins: Tensor | None = None
 
+    def map(self, function: Callable[[Tensor], Tensor]) -> Inputs:
+        """Return what a function makes of every tensor that there is."""
+        return Inputs(*(None if tensor is None else function(tensor) for tensor in self))  # type: ignore[arg-type]
+
     def pick(self, rows: Any) -> Inputs:
         """Return some rows."""
-        return Inputs(*(None if tensor is None else tensor[rows] for tensor in self))  # type: ignore[arg-type]
+        return self.map(lambda tensor: tensor[rows])
 
     def flat(self) -> Inputs:
         """Return steps and agents as one axis."""
-        return Inputs(*(None if tensor is None else tensor.flatten(0, 1) for tensor in self))  # type: ignore[arg-type]
+        return self.map(lambda tensor: tensor.flatten(0, 1))
 
     def recall(self) -> tuple[Inputs, Recall]:
         """Return steps and agents as one axis, and what agents remember in these steps."""

@@ -88,8 +88,7 @@ class RecurrentWorker(RolloutWorker):
 
 def one_step(inputs: Inputs, memory: Tensor) -> Inputs:
     """Return what agents are given in one step, and remember before it, with an axis for steps."""
-    steps = Inputs(*(None if tensor is None else tensor[None] for tensor in inputs))  # type: ignore[arg-type]
-    return steps._replace(memory=memory[None])
+    return inputs.map(lambda tensor: tensor[None])._replace(memory=memory[None])
 
 
 def chunked(rollout: RolloutBuffer, length: int) -> RolloutBuffer:

@@ -50,7 +50,7 @@ class RolloutBuffer(NamedTuple):
 
     def map(self, function: Callable[[Tensor], Tensor]) -> RolloutBuffer:
         """Return what a function makes of every tensor."""
-        return RolloutBuffer.of([None if tensor is None else function(tensor) for tensor in self.tensors()])
+        return RolloutBuffer(self.inputs.map(function), *map(function, self[1:]))
 
     def tensors(self) -> list[Tensor | None]:
         """Return all tensors, with None for inputs that the environment does not have."""
@@ -174,8 +174,8 @@ class RolloutWorker:
         agents, model, steps = self.agents, self.model, len(noise)
         # Filled step by step, as the device writes over its results. Inputs have a row more: where the last
         # step led.
-        inputs = Inputs(*(None if now is None else _rows(steps + 1, now) for now in agents.inputs))  # type: ignore[arg-type]
-        final_obs = _rows(steps, agents.obs)
+        inputs = agents.inputs.map(lambda now: now.new_empty((steps + 1, *now.shape)))
+        final_obs = agents.obs.new_empty((steps, *agents.obs.shape))
         rewards = torch.empty((steps, len(agents.obs)), device=self.where)
         terminations, truncations = (torch.empty_like(rewards, dtype=torch.bool) for _ in range(2))
         outputs, actions, decides, alive = [], [], [], []
@@ -305,11 +305,6 @@ class RolloutWorker:
                 some = steps[k : k + CRITIC_ROWS], columns[k : k + CRITIC_ROWS] + block.start
                 values[some] = self.model.values(inputs.pick(some))
         return values
-
-
-def _rows(steps: int, like: Tensor) -> Tensor:
-    """Return an empty row for each step, to hold such a tensor."""
-    return like.new_empty((steps, *like.shape))
 
 
 class Trajectories(NamedTuple):
