@@ -20,7 +20,7 @@ from pearl_marl.policies.trained import NetworkPolicy
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
 from pearl_marl.training.action_values import explored
 from pearl_marl.training.adam import Adam
-from pearl_marl.training.agents import Agents, observed_spec, team_rewards
+from pearl_marl.training.agents import Agents, team_rewards
 from pearl_marl.training.dense_values import Steps, huber_gradients_of
 from pearl_marl.training.restoring import copied, observed, whole
 from pearl_marl.training.settings import NetworkSettings, check_memory, count, number
@@ -72,21 +72,15 @@ class DQN(Trainer):
             )
         # Of every step in memory, and of every one in a minibatch: two observations, action, reward and end.
         rows = n * depth + settings.minibatch
-        self.need = check_memory(
-            observed_spec(spec, device),
-            settings,
-            device,
-            ("n_agents", "memory", "minibatch"),
-            2 * rows,
-            13 * rows,
-        )
+        grows_with = "n_agents", "memory", "minibatch"
+        self.need = check_memory(spec, settings, device, grows_with, 2 * rows, 13 * rows)
         torch.manual_seed(settings.seed)
         self.policy = NetworkPolicy(
             spec, "values", settings.width, settings.sharing, epsilon=settings.evaluation_epsilon
         )
         self.target = NetworkPolicy(spec, "values", settings.width, settings.sharing)
         agents = Agents(spec, device, n, settings.seed)
-        obs, where = agents.obs, agents.obs.device
+        obs, masks, where = agents.obs, agents.inputs.masks, agents.obs.device
         super().__init__(settings, agents, where)
         self.policy.to(where)
         self.target.to(where)
@@ -94,20 +88,17 @@ class DQN(Trainer):
         self.optimiser = Adam(self.policy.parameters(), epsilon=1e-8, max_grad_norm=10.0)
         self.components = {"policy": self.policy, "target": self.target, "optimiser": self.optimiser}
         self.losses: list[Tensor] = []
-        one = obs.shape[1:]
         # A row for each step, and a column for each agent: see Minibatch.
         self.memory = {
-            "obs": torch.zeros((depth, n, *one), dtype=obs.dtype, device=where),
+            "obs": obs.new_zeros((depth, *obs.shape)),
             "actions": torch.zeros((depth, n), dtype=torch.int64, device=where),
             "rewards": torch.zeros((depth, n), device=where),
-            "arrivals": torch.zeros((depth, n, *one), dtype=obs.dtype, device=where),
+            "arrivals": obs.new_zeros((depth, *obs.shape)),
             "over": torch.zeros((depth, n), dtype=torch.bool, device=where),
             "alive": torch.ones((depth, n), dtype=torch.bool, device=where),
         }
-        if agents.inputs.masks is not None:
-            self.memory["masks"] = torch.zeros(
-                (depth, *agents.inputs.masks.shape), dtype=torch.int8, device=where
-            )
+        if masks is not None:
+            self.memory["masks"] = masks.new_zeros((depth, *masks.shape))
         self.updated = 0
 
     def update(self) -> None:

@@ -12,7 +12,6 @@ from torch import Tensor
 from pearl_marl.policies.second_thread import left_to_loops
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.adam import Adam
-from pearl_marl.training.agents import observed_spec
 from pearl_marl.training.halves import AutogradHalves
 from pearl_marl.training.recurrent import RecurrentWorker, chunked
 from pearl_marl.training.restoring import copied
@@ -56,9 +55,7 @@ class OnPolicyTrainer(Trainer):
         if self.model.policy.remembers:
             others += 4 * self.model.memory_size * rows // settings.chunk_length
             names += ["width", "chunk_length"]
-        self.need = check_memory(
-            observed_spec(spec, device), settings, device, names, rows, others, lasting=False
-        )
+        self.need = check_memory(spec, settings, device, names, rows, others, lasting=False)
         self.worker: Any
         if shards is None:
             gathers = self.remembering if self.model.policy.remembers else self.gathers

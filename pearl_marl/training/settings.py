@@ -17,7 +17,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.memory import MEMORY
 from pearl_marl.policies.network import SHARING
 from pearl_marl.spec import MAX_SLOTS, EnvSpec
-from pearl_marl.training.agents import TEAM
+from pearl_marl.training.agents import TEAM, observed_spec
 
 SEEDS = 2**63 - 1
 """The largest seed that PyTorch takes."""
@@ -189,7 +189,8 @@ def check_memory(
     ArgumentError
         There is less.
     """
-    size = observations * math.prod(spec.observation_shape) * spec.observation_dtype.itemsize + others
+    observed = observed_spec(spec, device)
+    size = observations * math.prod(observed.observation_shape) * observed.observation_dtype.itemsize + others
     what = f"{spec.name} with {', '.join(f'{name}={getattr(settings, name)}' for name in names)}"
     on_gpu = device == Cuda.name and torch.cuda.is_available()
     need = MemoryNeed(size, what, on_gpu, lasting)
