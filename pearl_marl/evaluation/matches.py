@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pearl_marl.base.arrays import Array
 from pearl_marl.batch.actions import random_actions
@@ -61,8 +61,8 @@ class Match(Evaluation):
         if spec.agents < 2:
             raise ArgumentError(f"{spec.name} has one agent in a world, so policies cannot play each other")
         self._openings = checked_integer("openings", openings, 0)
-        self.seats = _seats(n_agents, spec.agents)
-
+        row = np.arange(n_agents)
+        self.seats = np.asarray(row % spec.agents == row // spec.agents % spec.agents)
         rng = np.random.default_rng(checked_seed(seed))
         first, second = (acting(of, lambda: self.device) for of in (policy, against))
         alone = _are_one(policy, against)
@@ -131,13 +131,11 @@ def cross_table(
     Each match has a device of its own from ``make_device``; ``settings`` are other arguments of
     :class:`Match`.
     """
-    names = list(policies)
-    for k, first in enumerate(names):
-        for second in names[k + 1 :]:
-            match = Match(spec, policies[first], policies[second], n_agents, make_device(), **settings)
-            for _ in match.run():
-                pass
-            yield {"policy": first, "against": second, **match.outcome(), "digest": match.digest}
+    for first, second in itertools.combinations(policies, 2):
+        match = Match(spec, policies[first], policies[second], n_agents, make_device(), **settings)
+        for _ in match.run():
+            pass
+        yield {"policy": first, "against": second, **match.outcome(), "digest": match.digest}
 
 
 def _are_one(policy: Policy | DevicePolicy, against: Policy | DevicePolicy) -> bool:
@@ -149,8 +147,3 @@ def _are_one(policy: Policy | DevicePolicy, against: Policy | DevicePolicy) -> b
 def _broadcast(flags: Array, actions: Array) -> Array:
     """Return flags of shape ``(n,)`` in a shape that broadcasts over the agents' actions."""
     return flags.reshape(-1, *(1,) * (actions.ndim - 1))
-
-
-def _seats(n: int, agents: int) -> npt.NDArray[np.bool_]:
-    row = np.arange(n)
-    return np.asarray(row % agents == row // agents % agents)

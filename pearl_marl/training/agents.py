@@ -44,11 +44,6 @@ class Agents:
         Which of them forget what they remember before it, as an episode of theirs has ended; none at first.
     """
 
-    inputs: Inputs
-    alive: Tensor
-    acting: Tensor
-    begins: Tensor
-
     def __init__(
         self,
         spec: EnvSpec,

@@ -79,18 +79,15 @@ class RunFolder:
             Another process has it, it holds a run of other settings, or cannot be written.
         """
         check_files(self.path, CONFIG, METRICS, POLICY, CURVE, CHECKPOINT, PREVIOUS)
-        with claimed(self.path, "trains"):
+        with claimed(self.path, "trains"), contextlib.ExitStack() as at_end:
             config = self.path / CONFIG
             if config.exists():
                 self._check(_settings(config), f"{self.path} holds")
             if self._track is not None:
                 about = {k: v for k, v in self._flat(self._settings).items() if v is not None}
                 self._tracker = tracking.tracker(self._track, self.path, about)
-            try:
-                yield
-            finally:
-                if self._tracker is not None:
-                    self._tracker.close()
+                at_end.callback(self._tracker.close)
+            yield
 
     def write_config(self) -> None:
         """Write config.json, unless it is there."""

@@ -6,7 +6,7 @@ import importlib
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from pearl_marl.base.files import replace_file
 from pearl_marl.errors import ArgumentError
@@ -15,18 +15,6 @@ PROJECT = "pearl-marl"
 """The project, or experiment, that runs are in."""
 IDS = "tracking.json"
 """The file of a run's folder that has the run's name at each service, by which it goes on there."""
-
-
-class Tracker(Protocol):
-    """A run, at a service."""
-
-    id: str
-
-    def log(self, agent_steps: int, metrics: Mapping[str, float]) -> None:
-        """Send the figures of the moment."""
-
-    def close(self) -> None:
-        """End the run, for now."""
 
 
 class _Wandb:
@@ -63,6 +51,9 @@ class _Mlflow:
     def close(self) -> None:
         self._client.set_terminated(self.id)
 
+
+Tracker = _Wandb | _Mlflow
+"""A run, at a service: ``log`` sends the figures of the moment, and ``close`` ends it for now."""
 
 SERVICES: Mapping[str, Callable[..., Tracker]] = {"wandb": _Wandb, "mlflow": _Mlflow}
 """By the names of their packages."""
