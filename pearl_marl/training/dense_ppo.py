@@ -88,6 +88,7 @@ class Loss(NamedTuple):
     scale: float
 
 
+@called
 def _ratio(log: float, samples: Samples, row: int, loss: Loss, figures: Array) -> float:
     """Note the loss of an action; return its gradient by the logarithm of the action's probability."""
     gain = (samples.advantages[row] - loss.mean) * loss.scale
@@ -97,9 +98,6 @@ def _ratio(log: float, samples: Samples, row: int, loss: Loss, figures: Array) -
     figures[3] += abs(ratio - 1) > loss.clip
     # A ratio that has gone too far is not pulled further.
     return -ratio * gain if ratio * gain <= clipped else 0.0
-
-
-_ratio_of: Callable[..., float] = called(_ratio)
 
 
 class Scored(NamedTuple):
@@ -161,7 +159,7 @@ def _choices(scored, samples, rows, log_deviation, loss, figures):  # type: igno
                 entropy -= probabilities[s * n + k] * logs[s * n + k]
         figures[2] += entropy
         action = samples.actions[row]
-        by = _ratio_of(logs[s * n + action], samples, row, loss, figures)
+        by = _ratio(logs[s * n + action], samples, row, loss, figures)
         for k in range(n):
             if masked and masks[row, k] == 0:
                 outputs[start + k] = 0
@@ -186,7 +184,7 @@ def _numbers(scored, samples, rows, log_deviation, loss, figures):  # type: igno
             squares += deviation * deviation
             log -= 0.5 * deviation * deviation + wide + _HALF_LOG_TURN
         figures[2] += n * (0.5 + _HALF_LOG_TURN + wide)
-        by = _ratio_of(log, samples, first + s, loss, figures)
+        by = _ratio(log, samples, first + s, loss, figures)
         for k in range(n):
             outputs[start + k] = by * loss.share * (actions[k] - outputs[start + k]) / (spread * spread)
         by_deviation += loss.share * (by * (squares - n) - loss.entropy * n)
@@ -485,40 +483,32 @@ class _SeparateLayers:
         return Task(self._weights, gradients, *self._inputs, self._model.agents_per_state, self._samples)
 
 
-class _SharedGradients(NamedTuple):
-    """Where gradients go: those by the network, and by the heads of actor and critic."""
-
-    network: PictureGradients
-    heads: list[list[Tensor]]
-
-
 class _SharedLayers:
     """Finds those of a part of a minibatch of pictures, where both share all layers but the last."""
 
     def __init__(self, model: ActorCritic, rollout: RolloutBuffer, samples: Samples) -> None:
-        self._model, self._samples = model, samples
+        self._samples, actor, critic = samples, model.actor.output, model.critic
+        # Of the actor's last layer and the critic's, the weights and the biases.
+        self._heads = [[actor.weight, critic.weight], [actor.bias, critic.bias]]
         self._pictures = Pictures(model.actor, rollout.inputs.obs, rollout.inputs.position)
 
-    def gradients(self, instead: Mapping[Tensor, Tensor]) -> _SharedGradients:
-        """Return where gradients go: to the tensors that stand for the weights."""
+    def gradients(self, instead: Mapping[Tensor, Tensor]) -> tuple[PictureGradients, list[list[Tensor]]]:
+        """Return where gradients by the network and by the heads go: to what stands for the weights."""
         heads = [[instead[weight] for weight in head] for head in self._heads]
-        return _SharedGradients(self._pictures.gradients(instead), heads)
+        return self._pictures.gradients(instead), heads
 
-    @property
-    def _heads(self) -> list[list[Tensor]]:
-        """Of the actor's last layer and the critic's, the weights and the biases."""
-        actor, critic = self._model.actor.output, self._model.critic
-        return [[actor.weight, critic.weight], [actor.bias, critic.bias]]
-
-    def __call__(self, loss: Loss, rows: Array, gradients: _SharedGradients) -> Array:
+    def __call__(
+        self, loss: Loss, rows: Array, gradients: tuple[PictureGradients, list[list[Tensor]]]
+    ) -> Array:
         """Write the gradients; return the losses."""
+        by_network, into_heads = gradients
         heads, figures = [torch.cat(head).detach() for head in self._heads], np.empty(4)
         by_heads = [torch.empty_like(head) for head in heads]
-        with self._pictures.first_layer(rows, gradients.network) as layers:
+        with self._pictures.first_layer(rows, by_network) as layers:
             weights, by_weights = map(_with_heads, layers, (heads, by_heads))
             inputs = self._pictures.inputs
             _shared_gradients_of()(weights, by_weights, inputs, self._samples, rows, loss, figures)
-        for found, by in zip(gradients.heads, by_heads, strict=True):
+        for found, by in zip(into_heads, by_heads, strict=True):
             torch.split_with_sizes_copy(by, [len(some) for some in found], out=found)
         return figures
 

@@ -103,15 +103,16 @@ class RolloutWorker:
         self.where = self.agents.obs.device
         # What the critic expects of each step so far, if decide() finds that, too; see RolloutSteps.values.
         self.expects: list[Tensor] = []
-        # The rollout whose noise has been begun, and the function that returns this noise.
-        self._begun: tuple[int, Callable[[], Tensor]] | None = None
+        # Functions that return the noise that has been begun, by the number of its rollout.
+        self._begun: dict[int, Callable[[], Tensor]] = {}
 
     @torch.no_grad()
     def gather(self, rollout: int) -> RolloutBuffer:
         """Step all agents ``rollout_length`` times; return the rollout of that number."""
         settings, model, steps = self.settings, self.model, self.settings.rollout_length
         self.expects.clear()
-        noise, network = self._noise(rollout), self.network_beside()
+        noise = self._begun.pop(rollout, partial(self._made_noise, rollout))()
+        network = self.network_beside()
         done = self._one_by_one(noise) if network is None else self._at_once(network, noise)
         inputs, final_obs, outputs, chosen, rewards, terminations, truncations, decides, alive, _ = done
         log_probs = model.log_probs(outputs, chosen)
@@ -244,16 +245,10 @@ class RolloutWorker:
 
     def begin_noise(self, rollout: int) -> None:
         """Have a second thread make the noise of a rollout that comes next: it depends on no weights."""
-        self._begun = rollout, begun(partial(self._made_noise, rollout))
-
-    def _noise(self, rollout: int) -> Tensor:
-        """Return the noise that makes the rollout's actions random."""
-        begun_before, self._begun = self._begun, None
-        if begun_before is not None and begun_before[0] == rollout:
-            return begun_before[1]()
-        return self._made_noise(rollout)
+        self._begun = {rollout: begun(partial(self._made_noise, rollout))}
 
     def _made_noise(self, rollout: int) -> Tensor:
+        """Return the noise that makes the rollout's actions random."""
         settings = self.settings
         size = (settings.rollout_length, len(self.agents.obs), self.model.policy.outputs)
         noise = torch.empty(size, device=self.where)

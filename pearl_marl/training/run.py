@@ -28,26 +28,18 @@ from pearl_marl.training.films import film
 from pearl_marl.training.run_folder import POLICY, RunFolder
 from pearl_marl.training.trainer import threads_for
 
-ALGORITHMS: dict[str, Any] = {
-    "ppo": ppo.PPO,
-    "mappo": ppo.MAPPO,
-    "self-play": self_play.SelfPlay,
-    "dqn": dqn.DQN,
-    "pqn": pqn.PQN,
-    "vdn": teams.VDN,
-    "qmix": teams.QMIX,
-    "q-learning": q_learning.QLearning,
+_KINDS: dict[str, tuple[Any, Any]] = {
+    "ppo": (ppo.PPO, ppo.PPOSettings),
+    "mappo": (ppo.MAPPO, ppo.PPOSettings),
+    "self-play": (self_play.SelfPlay, self_play.SelfPlaySettings),
+    "dqn": (dqn.DQN, dqn.DQNSettings),
+    "pqn": (pqn.PQN, pqn.PQNSettings),
+    "vdn": (teams.VDN, teams.VDNSettings),
+    "qmix": (teams.QMIX, teams.QMIXSettings),
+    "q-learning": (q_learning.QLearning, q_learning.QLearningSettings),
 }
-SETTINGS: dict[str, Any] = {
-    "ppo": ppo.PPOSettings,
-    "mappo": ppo.PPOSettings,
-    "self-play": self_play.SelfPlaySettings,
-    "dqn": dqn.DQNSettings,
-    "pqn": pqn.PQNSettings,
-    "vdn": teams.VDNSettings,
-    "qmix": teams.QMIXSettings,
-    "q-learning": q_learning.QLearningSettings,
-}
+ALGORITHMS = {name: trainer for name, (trainer, _) in _KINDS.items()}
+SETTINGS = {name: settings for name, (_, settings) in _KINDS.items()}
 
 ALIASES = {"ippo": "ppo", "iql": "dqn"}
 """Names of the algorithms where they learn for every agent of a world."""
