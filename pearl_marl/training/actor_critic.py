@@ -31,7 +31,7 @@ class Inputs(NamedTuple):
     memory: Tensor | None = None
     begins: Tensor | None = None
 
-    def map(self, function: Callable[[Tensor], Tensor]) -> Inputs:
+    def map(self, function: Callable[[Tensor], Any]) -> Inputs:
         """Return what a function makes of every tensor that there is."""
         return Inputs(*(None if tensor is None else function(tensor) for tensor in self))  # type: ignore[arg-type]
 

@@ -7,9 +7,9 @@ are divided among workers, the rollout is the same.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -48,19 +48,9 @@ class RolloutBuffer(NamedTuple):
         """Return some rows."""
         return self.map(lambda tensor: tensor[rows])
 
-    def map(self, function: Callable[[Tensor], Tensor]) -> RolloutBuffer:
+    def map(self, function: Callable[[Tensor], Any]) -> RolloutBuffer:
         """Return what a function makes of every tensor."""
         return RolloutBuffer(self.inputs.map(function), *map(function, self[1:]))
-
-    def tensors(self) -> list[Tensor | None]:
-        """Return all tensors, with None for inputs that the environment does not have."""
-        return [*self.inputs, *self[1:]]
-
-    @classmethod
-    def of(cls, tensors: Sequence[Any]) -> Self:
-        """Return the rollout that has these :meth:`tensors`."""
-        fields = len(Inputs._fields)
-        return cls(Inputs(*tensors[:fields]), *tensors[fields:])
 
 
 class RolloutSteps(NamedTuple):

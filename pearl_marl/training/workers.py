@@ -20,6 +20,7 @@ from pearl_marl.devices import cluster
 from pearl_marl.devices.ray import Packed, pack, unpacked
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.spec import EnvSpec
+from pearl_marl.training.actor_critic import Inputs
 from pearl_marl.training.recurrent import RecurrentWorker
 from pearl_marl.training.rollout import RolloutBuffer, RolloutWorker, block_edges
 
@@ -45,8 +46,8 @@ class Worker:
 
     def gather(
         self, rollout: int, weights: dict[str, Array], state: AgentsState | None
-    ) -> tuple[list[Array | None], AgentsState]:
-        """Return a rollout's tensors, and the agents' state after it; they begin at ``state``, if any."""
+    ) -> tuple[RolloutBuffer, AgentsState]:
+        """Return a rollout of arrays, and the agents' state after it; they begin at ``state``, if any."""
         remembers = self.model.policy.remembers
         if state is not None:
             saved, memory = state
@@ -55,8 +56,7 @@ class Worker:
                 self.worker.memory = torch.tensor(memory, device=self.worker.where)
         # Copies: arrays out of the object store cannot be written to.
         self.model.load_state_dict({name: torch.tensor(array) for name, array in weights.items()})
-        tensors = self.worker.gather(rollout).tensors()
-        arrays = [None if tensor is None else tensor.cpu().numpy() for tensor in tensors]
+        arrays = self.worker.gather(rollout).map(lambda tensor: tensor.cpu().numpy())
         memory = self.worker.memory.cpu().numpy() if remembers else None
         return arrays, (self.worker.agents.state(), memory)
 
@@ -118,7 +118,7 @@ class RayWorkers:
         under_way = [self._ask(i, rollout, weights) for i in range(len(self._actors))]
         # Should it fail, all begin at the states noted here, whichever were done.
         self._behind = [True] * len(self._actors)
-        gathered: list[tuple[list[Array | None], AgentsState]] = []
+        gathered: list[tuple[RolloutBuffer, AgentsState]] = []
         for i, asked in enumerate(under_way):
             for attempt in itertools.count(1):
                 try:
@@ -135,14 +135,13 @@ class RayWorkers:
             if memory is not None:
                 self.memory[self._rows(i)] = torch.tensor(memory)
         self._behind = [False] * len(self._actors)
-        return RolloutBuffer.of(
-            [self._joined(part) for part in zip(*(share for share, _ in gathered), strict=True)]
-        )
+        inputs = zip(*(share.inputs for share, _ in gathered), strict=True)
+        others = zip(*(share[1:] for share, _ in gathered), strict=True)
+        return RolloutBuffer(Inputs(*map(self._joined, inputs)), *map(self._joined, others))
 
-    def _joined(self, parts: tuple[Array | None, ...]) -> torch.Tensor | None:
-        """Return the parts of all shards side by side, or None if they have none."""
-        arrays = [part for part in parts if part is not None]
-        return torch.from_numpy(np.concatenate(arrays, 1)).to(self.where) if arrays else None
+    def _joined(self, parts: tuple[Any, ...]) -> Any:
+        """Return the arrays of all shards side by side, or None if they have none."""
+        return None if parts[0] is None else torch.from_numpy(np.concatenate(parts, 1)).to(self.where)
 
     def _give_up(self, i: int, attempt: int, when: str, error: BaseException, advice: str = "") -> None:
         """Raise where a worker was lost too often, or can never start."""

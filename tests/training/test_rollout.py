@@ -119,7 +119,8 @@ def test_steps_beside_the_environments_are_those_one_by_one(
     for beside, alone in zip(*gathered, strict=True):
         assert beside.ended.any()
         assert beside.loss_mask.all() == (name != "Meadow")
-        for expected, found in zip(alone.tensors(), beside.tensors(), strict=True):
+        pairs = zip((*alone.inputs, *alone[1:]), (*beside.inputs, *beside[1:]), strict=True)
+        for expected, found in pairs:
             assert (expected is None) == (found is None)
             if expected is not None:
                 assert expected.dtype == found.dtype
