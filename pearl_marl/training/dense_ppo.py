@@ -505,15 +505,13 @@ class _SharedLayers:
         heads, figures = [torch.cat(head).detach() for head in self._heads], np.empty(4)
         by_heads = [torch.empty_like(head) for head in heads]
         with self._pictures.first_layer(rows, by_network) as layers:
-            weights, by_weights = map(_with_heads, layers, (heads, by_heads))
+            # Their last layer has both heads.
+            weights, by_weights = (
+                some._replace(third=weight.numpy(), bias3=bias.numpy())
+                for some, (weight, bias) in zip(layers, (heads, by_heads), strict=True)
+            )
             inputs = self._pictures.inputs
             _shared_gradients_of()(weights, by_weights, inputs, self._samples, rows, loss, figures)
         for found, by in zip(into_heads, by_heads, strict=True):
             torch.split_with_sizes_copy(by, [len(some) for some in found], out=found)
         return figures
-
-
-def _with_heads(layers: Layers, heads: Sequence[Tensor]) -> Layers:
-    """Return layers whose last has these weights and biases."""
-    weights, bias = (head.numpy() for head in heads)
-    return layers._replace(third=weights, bias3=bias)

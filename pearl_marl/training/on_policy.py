@@ -31,11 +31,8 @@ class OnPolicyTrainer(Trainer):
     rollouts, or as many of Ray's as ``shards`` says; the result is the same.
     """
 
-    gathers: type[RolloutWorker] = RolloutWorker
-    """The class that gathers rollouts in this process."""
-
-    remembering: type[RecurrentWorker] = RecurrentWorker
-    """The class that does so with policies that remember."""
+    gathers: tuple[type[RolloutWorker], type[RecurrentWorker]] = RolloutWorker, RecurrentWorker
+    """The classes that gather rollouts in this process: with policies that do not remember, or do."""
 
     losses: tuple[str, ...]
     """The names of what :meth:`autograd` returns."""
@@ -58,8 +55,7 @@ class OnPolicyTrainer(Trainer):
         self.need = check_memory(spec, settings, device, names, rows, others, lasting=False)
         self.worker: Any
         if shards is None:
-            gathers = self.remembering if self.model.policy.remembers else self.gathers
-            self.worker = gathers(spec, device, settings, self.model)
+            self.worker = self.gathers[self.model.policy.remembers](spec, device, settings, self.model)
             agents = self.worker.agents
             self.begins_noise = self.worker.where.type == "cpu"
         else:

@@ -66,7 +66,5 @@ class PQN(OnPolicyTrainer):
 
     def figures(self) -> dict[str, float | None]:
         """Return figures for the metrics: those of rollouts, and the share of actions that is random."""
-        return {
-            **super().figures(),
-            "explored": explored(self.settings, self.done / self.settings.iterations),
-        }
+        share = explored(self.settings, self.done / self.settings.iterations)
+        return {**super().figures(), "explored": share}

@@ -33,7 +33,7 @@ class SelfPlaySettings(ppo.PPOSettings):
 class SelfPlay(ppo.PPO):
     """A run of self-play: :meth:`iterate` is one update."""
 
-    gathers, remembering = LeagueWorker, RecurrentLeagueWorker
+    gathers = LeagueWorker, RecurrentLeagueWorker
 
     def __init__(self, spec: EnvSpec, device: Any, settings: SelfPlaySettings) -> None:
         if spec.agents < 2:
