@@ -58,14 +58,14 @@ class RolloutSteps(NamedTuple):
 
     inputs: Inputs  # with a row more, for where the last step led
     final_obs: Tensor  # of the episodes that ended
-    outputs: Tensor  # of the policy
-    actions: Tensor  # in its own form
     rewards: Tensor
     terminations: Tensor
     truncations: Tensor
+    values: Tensor | None  # what the critic expects where agents decide, if that was found with the outputs
+    outputs: Tensor  # of the policy
+    actions: Tensor  # in its own form
     acting: Tensor  # which agents decide; with a row more
     alive: Tensor  # which take part; with a row more
-    values: Tensor | None  # what the critic expects where agents decide, if that was found with the outputs
 
 
 class RolloutWorker:
@@ -104,7 +104,7 @@ class RolloutWorker:
         noise = self._begun.pop(rollout, partial(self._made_noise, rollout))()
         network = self.network_beside()
         done = self._one_by_one(noise) if network is None else self._at_once(network, noise)
-        inputs, final_obs, outputs, chosen, rewards, terminations, truncations, decides, alive, _ = done
+        inputs, final_obs, rewards, terminations, truncations, _, outputs, chosen, decides, alive = done
         log_probs = model.log_probs(outputs, chosen)
         ended = over = terminations | truncations
         wanted = team_rewards(rewards, self.spec.agents, settings.rewards) * settings.reward_scale
@@ -150,11 +150,11 @@ class RolloutWorker:
         return RolloutSteps(
             inputs=Inputs(torch.from_numpy(made.observations), masks, position),
             final_obs=torch.from_numpy(made.final_observations),
-            outputs=outputs,
-            actions=words if self.model.policy.heads else words[..., 0],
             rewards=torch.from_numpy(made.rewards),
             terminations=torch.from_numpy(made.terminations),
             truncations=torch.from_numpy(made.truncations),
+            outputs=outputs,
+            actions=words if self.model.policy.heads else words[..., 0],
             acting=acting(alive, masks),
             alive=alive,
             values=outputs.amax(-1) if self.model.of_best else None,
@@ -169,7 +169,8 @@ class RolloutWorker:
         final_obs = agents.obs.new_empty((steps, *agents.obs.shape))
         rewards = torch.empty((steps, len(agents.obs)), device=self.where)
         terminations, truncations = (torch.empty_like(rewards, dtype=torch.bool) for _ in range(2))
-        outputs, actions, decides, alive = [], [], [], []
+        noted: tuple[list[Tensor], ...] = [], [], [], []
+        outputs, actions, decides, alive = noted
         for t in range(steps + 1):
             for rows, now in zip(inputs, agents.inputs, strict=True):
                 if rows is not None and now is not None:
@@ -182,18 +183,9 @@ class RolloutWorker:
             chosen, taken = model.draw(outputs[t], noise[t])
             actions.append(chosen)
             _, rewards[t], terminations[t], truncations[t], final_obs[t] = agents.step(taken)
-        return RolloutSteps(
-            inputs,
-            final_obs,
-            torch.stack(outputs),
-            torch.stack(actions),
-            rewards,
-            terminations,
-            truncations,
-            torch.stack(decides),
-            torch.stack(alive),
-            torch.stack(self.expects) if self.expects else None,
-        )
+        values = torch.stack(self.expects) if self.expects else None
+        results = final_obs, rewards, terminations, truncations, values
+        return RolloutSteps(inputs, *results, *map(torch.stack, noted))
 
     def acting(self) -> Tensor:
         """Return which agents' next decisions are learned from."""
