@@ -91,6 +91,7 @@ class Adam:
         sizes = [-(-parameter.numel() // LINE) * LINE for parameter in self.parameters]
         self._values = self.parameters[0].new_zeros(sum(sizes))
         self._gradient, self._mean, self._square = (torch.zeros_like(self._values) for _ in range(3))
+        self._state = self._values, self._gradient, self._mean, self._square
         self._steps = 0
         parts = (torch.split(tensor, sizes) for tensor in (self._values, self._gradient))
         for parameter, *pieces in zip(self.parameters, *parts, strict=True):
@@ -114,10 +115,6 @@ class Adam:
         rates = np.array([self._rates(rate) for _ in range(steps)]).reshape(steps, 2)
         values, gradient, mean, square = (tensor.numpy() for tensor in self._state)
         return Moves(values, gradient, mean, square, rates, self.epsilon, self.max_grad_norm)
-
-    @property
-    def _state(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        return self._values, self._gradient, self._mean, self._square
 
     def _rates(self, rate: float) -> tuple[float, float]:
         """Count a step; return its rate and correction."""
