@@ -90,8 +90,8 @@ class RayWorkers:
         self._resources = RESOURCES.get(device.partition(":")[0])
         learns_on_gpu = device == "cuda" and torch.cuda.is_available()
         self.where = torch.device("cuda" if learns_on_gpu else "cpu")
-        edges = [i * settings.blocks // shards for i in range(shards + 1)]
-        self._blocks = [range(edges[i], edges[i + 1]) for i in range(shards)]
+        edges = (i * settings.blocks // shards for i in range(shards + 1))
+        self._blocks = [range(*pair) for pair in itertools.pairwise(edges)]
         ray = cluster.connect()
         self._put = ray.put
         with ThreadPoolExecutor(shards) as pool:  # each takes seconds
@@ -99,7 +99,7 @@ class RayWorkers:
         self.memory = torch.zeros(settings.n_agents, model.memory_size)  # of policies that remember
         self._actors = [actor for actor, _ in started]
         self._states = [state for _, state in started]
-        self._behind = [False] * shards  # whether an actor's agents have to be given the state noted here
+        self._behind = False  # whether the actors' agents have to be given the states noted here
 
     def _start(self, i: int) -> tuple[Any, SavedState]:
         """Return an actor for a shard, and its agents' first state."""
@@ -117,7 +117,7 @@ class RayWorkers:
         weights = self._put({name: tensor.cpu().numpy() for name, tensor in self.model.state_dict().items()})
         under_way = [self._ask(i, rollout, weights) for i in range(len(self._actors))]
         # Should it fail, all begin at the states noted here, whichever were done.
-        self._behind = [True] * len(self._actors)
+        self._behind = True
         gathered: list[tuple[RolloutBuffer, AgentsState]] = []
         for i, asked in enumerate(under_way):
             for attempt in itertools.count(1):
@@ -134,7 +134,7 @@ class RayWorkers:
         for i, (_, (_, memory)) in enumerate(gathered):
             if memory is not None:
                 self.memory[self._rows(i)] = torch.tensor(memory)
-        self._behind = [False] * len(self._actors)
+        self._behind = False
         inputs = zip(*(share.inputs for share, _ in gathered), strict=True)
         others = zip(*(share[1:] for share, _ in gathered), strict=True)
         return RolloutBuffer(Inputs(*map(self._joined, inputs)), *map(self._joined, others))
@@ -158,7 +158,7 @@ class RayWorkers:
         return slice(edges[0], edges[-1])
 
     def _ask(self, i: int, rollout: int, weights: Any) -> Any:
-        state = (self._states[i], self.memory[self._rows(i)].numpy()) if self._behind[i] else None
+        state = (self._states[i], self.memory[self._rows(i)].numpy()) if self._behind else None
         return self._actors[i].gather.remote(rollout, weights, state)
 
     @property
@@ -172,6 +172,5 @@ class RayWorkers:
 
     def load(self, state: SavedState) -> None:
         """Go on from what :meth:`state` returned, or that of this process's own agents."""
-        shards = range(len(self._blocks))
-        self._states = [state.cut(self.spec, self._rows(i)) for i in shards]
-        self._behind = [True] * len(self._states)
+        self._states = [state.cut(self.spec, self._rows(i)) for i in range(len(self._blocks))]
+        self._behind = True
