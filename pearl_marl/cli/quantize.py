@@ -55,7 +55,6 @@ def quantize_run(
     seed: int = 0,
 ) -> dict[str, Any]:
     """Write the policy in integers of a run, by default into its folder; return the returns of both."""
-    from pearl_marl.evaluation.quantization import Quantization
     from pearl_marl.policies import integer_file
 
     folder = run if run.is_dir() else run.parent
@@ -64,6 +63,8 @@ def quantize_run(
         raise ArgumentError(f"--out is {file}; it must be a file that ends in .safetensors")
     common.check_file("--out", file)
     try:
+        from pearl_marl.evaluation.quantization import Quantization
+
         work = Quantization(run, seed, weight_bits, activation_bits)
     except ModuleNotFoundError as error:
         raise ArgumentError(f"{run} takes {error.name}: pip install '.[train]'") from None

@@ -11,6 +11,7 @@ import numpy as np
 
 from pearl_marl.base.arrays import Array
 from pearl_marl.evaluation.run import CONFIDENCE, Evaluation, interval
+from pearl_marl.policies import quantizing, trained
 from pearl_marl.policies.integer_network import AgentNetworks, IntegerNetwork
 
 SAMPLES = 4096
@@ -47,8 +48,6 @@ class Quantization:
     after: Array
 
     def __init__(self, path: Path, seed: int, weight_bits: int, activation_bits: int) -> None:
-        from pearl_marl.policies import quantizing, trained  # which take torch
-
         self._policy = trained.load(path)
         quantizing.check_quantizable(self._policy)
         self.spec = self._policy.spec
@@ -59,8 +58,6 @@ class Quantization:
 
         Yields for every episode that has ended.
         """
-        from pearl_marl.policies.quantizing import quantized
-
         samples: list[Array] = []
         steps = 0
 
@@ -75,7 +72,7 @@ class Quantization:
         evaluation = Evaluation(self.spec, acting, n_agents, seed=self._seed)
         yield from evaluation.run()
         self.before = evaluation.returns
-        self.network = quantized(self._policy, np.concatenate(samples), *self._bits)
+        self.network = quantizing.quantized(self._policy, np.concatenate(samples), *self._bits)
         evaluation = Evaluation(self.spec, self.network, n_agents, seed=self._seed)
         yield from evaluation.run()
         self.after = evaluation.returns
