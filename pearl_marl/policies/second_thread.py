@@ -41,18 +41,24 @@ def is_free() -> bool:
 
 
 @contextmanager
+def torch_threads(number: int) -> Iterator[None]:
+    """Have PyTorch use so many threads in the block."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(number)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@contextmanager
 def left_to_loops(threads: int) -> Iterator[None]:
     """Leave so many threads to compiled loops in the block: PyTorch has one.
 
     PyTorch's second thread looks for more work for a while, and takes the time of the loops' then.
     """
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        with _threads(threads):
-            yield
-    finally:
-        torch.set_num_threads(before)
+    with torch_threads(1), _threads(threads):
+        yield
 
 
 @contextmanager

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from pearl_marl.base.files import check_files
 from pearl_marl.errors import ArgumentError
+from pearl_marl.policies.second_thread import torch_threads
 from pearl_marl.training.run import Training, TrainingRun
 from pearl_marl.training.run_folder import curve, write_table
 from pearl_marl.training.trainer import DivergedError
@@ -91,20 +91,15 @@ class Population:
         """Train in the block; see :meth:`TrainingRun.claimed`."""
         check_files(self.folder, CURVES, SPREAD)
         self._check_others()
-        before = torch.get_num_threads()
         # PyTorch has one number of threads for all of this process.
-        torch.set_num_threads(1)
-        try:
-            with contextlib.ExitStack() as folders:
-                for run in self.runs:
-                    folders.enter_context(run.claimed())
-                self._threads = ThreadPoolExecutor(os.cpu_count())
-                # Which waits for runs that are in an iteration, before their folders are free for others.
-                folders.callback(self._threads.shutdown, cancel_futures=True)
-                yield
-                self._write_spread()
-        finally:
-            torch.set_num_threads(before)
+        with torch_threads(1), contextlib.ExitStack() as folders:
+            for run in self.runs:
+                folders.enter_context(run.claimed())
+            self._threads = ThreadPoolExecutor(os.cpu_count())
+            # Which waits for runs that are in an iteration, before their folders are free for others.
+            folders.callback(self._threads.shutdown, cancel_futures=True)
+            yield
+            self._write_spread()
 
     def _check_others(self) -> None:
         """Refuse a folder that has runs of other seeds, which its spread would be without."""

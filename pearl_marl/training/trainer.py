@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from typing import Any
 
 import torch
@@ -13,28 +12,23 @@ from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.errors import ArgumentError
 from pearl_marl.policies.network import masked
 from pearl_marl.policies.policy_file import check_weights
+from pearl_marl.policies.second_thread import torch_threads
 from pearl_marl.policies.trained import SECOND_THREAD
 from pearl_marl.spec import EnvSpec
 from pearl_marl.training.restoring import copied, saved_bytes, whole
 from pearl_marl.training.settings import MemoryNeed
 
 
-@contextmanager
-def threads_for(spec: EnvSpec, settings: Any) -> Iterator[None]:
+def threads_for(spec: EnvSpec, settings: Any) -> AbstractContextManager[None]:
     """Learn in the block with one thread where networks and minibatches are small, else with all there are.
 
     It depends on nothing but the settings: another number of threads adds numbers up in another order.
     """
-    before = torch.get_num_threads()
     picture = len(spec.observation_space.shape or ()) == 3
     elements = getattr(settings, "minibatch", 0) * getattr(settings, "width", 0)
     if getattr(settings, "memory", None) == "gru":  # other threads have halves of its minibatches
         elements //= settings.chunk_length
-    torch.set_num_threads(before if picture or elements >= SECOND_THREAD else 1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
+    return torch_threads(torch.get_num_threads() if picture or elements >= SECOND_THREAD else 1)
 
 
 class DivergedError(ArgumentError):
