@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from pearl_marl.batch.config import worlds_of
+from pearl_marl.checks import checked_integer, checked_number
 from pearl_marl.envs import get_spec
 from pearl_marl.errors import ArgumentError, PearlError, SavedStateError, brief, one_line
 from pearl_marl.evaluation.matches import Match
@@ -144,12 +145,10 @@ class Training:
     evaluate_every: int | None = None
 
     def __post_init__(self) -> None:
-        if self.evaluate_every is not None and self.evaluate_every < 1:
-            raise ArgumentError(
-                f"--evaluate-every is {self.evaluate_every}; it must be an integer of at least 1"
-            )
-        if self.goal is not None and not math.isfinite(self.goal):
-            raise ArgumentError(f"--goal is {self.goal}; it must be a finite number")
+        if self.evaluate_every is not None:
+            checked_integer("--evaluate-every", self.evaluate_every)
+        if self.goal is not None:
+            checked_number("--goal", self.goal)
 
     def trainer(self, shards: int | None) -> Any:
         """Return the trainer; with ``shards``, so many processes step its agents."""
@@ -209,7 +208,7 @@ class TrainingRun:
         self.trainer = training.trainer(shards)
         self.spec = spec = self.trainer.policy.spec
         self.algorithm = ALIASES.get(training.algorithm, training.algorithm)
-        self.iterations = settings.iterations
+        self.iterations, self.seed = settings.iterations, settings.seed
         self.evaluate_every = training.evaluate_every or max(1, settings.iterations // 50)
         self.evaluated = max((evaluated or self.trainer.evaluated) // spec.agents, 1) * spec.agents
         self.best = -math.inf
@@ -227,11 +226,6 @@ class TrainingRun:
         if films:  # what cannot be filmed is refused at once
             Video(spec, folder / "film.gif").close()
         self._began = self._kept = time.perf_counter()
-
-    @property
-    def seed(self) -> int:
-        """The seed of everything random."""
-        return int(self.trainer.settings.seed)
 
     @property
     def rows(self) -> list[dict[str, Any]]:
