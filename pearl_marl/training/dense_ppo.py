@@ -287,8 +287,7 @@ def _gradients(task: Task, rows: Array, loss: Loss, figures: Array) -> None:
     figures[:] = 0
     _actor_gradients(task, rows, loss, figures)
     _critic_gradients(task, rows, loss.share, figures)
-    for k in range(4):
-        figures[k] *= loss.share
+    figures *= loss.share
 
 
 ACTOR, CRITIC, BOTH = 0, 1, 2
@@ -359,8 +358,7 @@ def _shared_gradients(
         outputs[len(some) * out :] = 0
         backward_rows(layers, weights, inputs, some, tile, total, gradients)
     store_gradients(total, gradients)
-    for k in range(4):
-        figures[k] *= loss.share
+    figures *= loss.share
 
 
 _loss_of = compiled_loop(_loss, fused=True)
