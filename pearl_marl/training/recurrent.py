@@ -56,7 +56,7 @@ class RecurrentWorker(RolloutWorker):
         _, values, _ = self.stepped(steps.inputs.pick(-1), self.memory)
         return torch.stack([*self.expects, values]) * steps.acting
 
-    def expected_at_ends(self, inputs: Inputs, cut: Tensor) -> Tensor:
+    def values_where(self, inputs: Inputs, cut: Tensor) -> Tensor:
         """Return what the critic expects of where time limits cut episodes off."""
         values = torch.zeros(cut.shape, device=self.where)
         ends, memories = torch.stack(self._begins[1:]), torch.cat(self._ends[1:])

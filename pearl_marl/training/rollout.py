@@ -123,7 +123,7 @@ class RolloutWorker:
         unknown |= self.excluded() & decides[:-1]
         if cut.any():
             final = inputs.pick(slice(0, -1))._replace(obs=final_obs, masks=None)
-            wanted += settings.discount * self._mixed(self.expected_at_ends(final, cut), final.state)
+            wanted += settings.discount * self._mixed(self.values_where(final, cut), final.state)
         trajectories = Trajectories(wanted, values, over, self._any(decides), self._any(unknown))
         advantages, mask = estimated_advantages(trajectories, settings.discount, settings.gae_lambda)
         mask &= decides[:-1]
@@ -243,13 +243,9 @@ class RolloutWorker:
     def expected(self, steps: RolloutSteps) -> Tensor:
         """Return what the critic expects where agents decide; a row more than the rollout has steps."""
         if steps.values is None:
-            return self._values(steps.inputs, steps.acting)
-        last = self._values(steps.inputs.pick(slice(-1, None)), steps.acting[-1:])
+            return self.values_where(steps.inputs, steps.acting)
+        last = self.values_where(steps.inputs.pick(slice(-1, None)), steps.acting[-1:])
         return torch.cat((steps.values.masked_fill(~steps.acting[:-1], 0), last))
-
-    def expected_at_ends(self, inputs: Inputs, cut: Tensor) -> Tensor:
-        """Return what the critic expects of where time limits cut episodes off."""
-        return self._values(inputs, cut)
 
     def _mixed(self, values: Tensor, state: Tensor | None) -> Tensor:
         """Return, for each agent, the value of its team, if a mixer makes one of the agents' values."""
@@ -268,7 +264,7 @@ class RolloutWorker:
             return flags
         return flags.reshape(len(flags), -1, agents).any(2).repeat_interleave(agents, 1)
 
-    def _values(self, inputs: Inputs, wanted: Tensor) -> Tensor:
+    def values_where(self, inputs: Inputs, wanted: Tensor) -> Tensor:
         """Return what the critic expects where it is wanted, else 0; a row a step and a column an agent."""
         if len(self.blocks) == 1 and wanted.all():  # no need to look for rows, and to copy them
             # Parts hold whole worlds.
