@@ -183,9 +183,5 @@ class Population:
 
 def _returns_at(rows: Sequence[dict[str, Any]], steps: Sequence[int]) -> list[float]:
     """Return the return of a run's last evaluation until each number of steps; before its first, that."""
-    returns, k = [], 0
-    for at in steps:
-        while k + 1 < len(rows) and rows[k + 1]["agent_steps"] <= at:
-            k += 1
-        returns.append(rows[k]["eval_return"])
-    return returns
+    evaluations = np.searchsorted([row["agent_steps"] for row in rows], steps, side="right") - 1
+    return [rows[k]["eval_return"] for k in np.maximum(evaluations, 0)]
