@@ -222,15 +222,11 @@ class TrainingRun:
             "evaluate_every": self.evaluate_every,
         }
         self.folder = RunFolder(folder, about, SETTINGS[self.algorithm], track)
+        self.rows = self.folder.rows  # the metrics so far, a dict for each evaluation
         self.films = films
         if films:  # what cannot be filmed is refused at once
             Video(spec, folder / "film.gif").close()
         self._began = self._kept = time.perf_counter()
-
-    @property
-    def rows(self) -> list[dict[str, Any]]:
-        """The metrics so far, a dict for each evaluation."""
-        return self.folder.rows
 
     @property
     def done(self) -> int:

@@ -146,7 +146,7 @@ class RunFolder:
         self._check(settings, f"{self._resumed} is of")
         if not isinstance(rows, list) or not all(map(_is_row, rows)):
             raise self.damaged("and has no metrics")
-        self.rows = rows
+        self.rows[:] = rows
         return checkpoint
 
     def _read(self) -> dict[str, Any]:
