@@ -434,11 +434,10 @@ def descend(
     figures, shared = np.zeros((2, len(minibatches), 4)), barrier.arrivals()
     parameters: Any = optimiser.parameters
     task = loops.task(loops.gradients({parameter: parameter.grad for parameter in parameters}))
-    losses = settings.clip, settings.entropy
 
     def learn(network: int) -> None:
         with barrier.released_by_errors(shared):
-            _descend_of()(network, task, rows, edges, *losses, moves, figures, shared)
+            _descend_of()(network, task, rows, edges, settings.clip, settings.entropy, moves, figures, shared)
 
     if threads > 1:
         with barrier.released_by_errors(shared):
