@@ -54,11 +54,6 @@ def observed(name: str, mine: Tensor, kept: Any, filled: int, spec: EnvSpec) -> 
 
 def saved_bytes(name: str, kept: Any) -> bytes:
     """Return bytes that a checkpoint keeps as a tensor, as long as that is in the file."""
-    if (
-        not isinstance(kept, Tensor)
-        or kept.dtype != torch.uint8
-        or kept.ndim != 1
-        or not kept.is_contiguous()
-    ):
-        raise ArgumentError(f"its {name} is no row of bytes")
-    return kept.numpy().tobytes()
+    if isinstance(kept, Tensor) and kept.dtype == torch.uint8 and kept.ndim == 1 and kept.is_contiguous():
+        return kept.numpy().tobytes()
+    raise ArgumentError(f"its {name} is no row of bytes")
