@@ -86,10 +86,6 @@ class OnPolicyTrainer(Trainer):
         """Leave the gradients of the loss of some rows, or chunks, with the parameters; return the losses."""
         raise NotImplementedError
 
-    def gradients(self, samples: RolloutBuffer) -> Callable[[Tensor], Tensor]:
-        """Return a function of some of a rollout's rows, or chunks, that does what :meth:`autograd` does."""
-        return self.loops(samples) or partial(self.autograd, samples)
-
     def all_steps(self, samples: RolloutBuffer, minibatch: Tensor) -> tuple[Tensor, Tensor, RolloutBuffer]:
         """Return the model's outputs and values for rows, or for all steps of chunks; and these samples."""
         if not self.policy.remembers:
@@ -140,9 +136,9 @@ class OnPolicyTrainer(Trainer):
 
     def descend(self, samples: RolloutBuffer, rows: Tensor, rate: float) -> Tensor:
         """Learn from minibatches of these rows, one after the other; return the losses of each."""
-        gradients, losses = self.gradients(samples), []
-        by_autograd, most = isinstance(gradients, partial), min(self.minibatch, len(rows))
-        with self.halves.shared(most, self.threads) if by_autograd else left_to_loops(self.threads):
+        loops, most, losses = self.loops(samples), min(self.minibatch, len(rows)), []
+        gradients = loops or partial(self.autograd, samples)
+        with left_to_loops(self.threads) if loops else self.halves.shared(most, self.threads):
             for minibatch in self.minibatches(rows):
                 losses.append(gradients(minibatch))
                 self.optimiser.step(rate)

@@ -20,7 +20,6 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import Draws, Word
 from pearl_marl.layout import Bits
 from pearl_marl.spec import Golden
-from pearl_marl.training.dense_values import PQNGradients
 from pearl_marl.training.mixers import MonotonicMixer, SumMixer
 from pearl_marl.training.recurrent import chunked
 from pearl_marl.training.run import ALGORITHMS, SETTINGS, evaluate, settings_for
@@ -250,9 +249,10 @@ def test_the_loss_is_of_teams(algorithm: str, memory: str) -> None:
     blind = samples._replace(inputs=samples.inputs._replace(obs=samples.inputs.obs.clone()))
     blind.inputs.obs[~samples.loss_mask] = 9
     found = []
-    loops, by_autograd = trainer.gradients(samples), partial(trainer.autograd, samples)
-    assert isinstance(loops, PQNGradients) is (algorithm == "vdn" and memory == "none")
-    for gradients in (loops, trainer.gradients(blind), by_autograd):
+    assert (trainer.loops(samples) is not None) is (algorithm == "vdn" and memory == "none")
+    for rollout, compiled in ((samples, True), (blind, True), (samples, False)):
+        loops = trainer.loops(rollout) if compiled else None
+        gradients = loops or partial(trainer.autograd, rollout)
         loss = float(gradients(groups))
         found.append((loss, [parameter.grad.clone() for parameter in trainer.model.parameters()]))
     assert found[0][0] == pytest.approx(due, rel=1e-3)
@@ -270,7 +270,7 @@ def test_minibatches_are_of_whole_worlds() -> None:
             taken.append(minibatch)
             return torch.zeros(1)
 
-        trainer.gradients = lambda _, noted=noted: noted
+        trainer.loops = lambda _, noted=noted: noted
         trainer.worker.gather = lambda _, gathered=gathered: gathered
         trainer.iterate()
         assert {len(minibatch) for minibatch in taken[:-1]} >= {size}
