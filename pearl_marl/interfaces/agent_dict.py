@@ -10,12 +10,14 @@ that users see and may change. An :class:`AgentDict` is backed by one array, :cl
 spaces.
 
 Compiled code may read the memory of a list or dict and call no method: encoders of JSON, data frames. Until
-one of many agents is filled it holds an entry there that no encoder takes, so that they fail aloud.
+one of many agents is filled it holds an entry there that no encoder takes, so that they fail aloud. To JAX
+and PyTorch a subclass of ``dict`` is one leaf of a tree, until they are told; they make plain dicts of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import compress
 from typing import Any, overload
 
@@ -23,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.spaces import Space, Tuple
 
-from pearl_marl.interfaces.trees import register_dict
+from pearl_marl.interfaces.importing import when_imported
 
 FEW = 16
 """Up to so many elements a container is filled when it is made: that takes a few microseconds."""
@@ -313,8 +315,41 @@ fill_first(
     *("__eq__", "__ne__", "__or__", "__ror__", "__ior__"),
     *("copy", "get", "keys", "values", "items", "pop", "popitem", "setdefault", "update", "clear"),
 )
-register_dict(AgentDict)
-register_dict(_UnfilledAgentDict)
+
+
+def _flat(container: dict[str, Any]) -> tuple[list[Any], tuple[str, ...]]:
+    return list(container.values()), tuple(container)
+
+
+def _flat_with_keys(
+    key: Callable[[str], Any], container: dict[str, Any]
+) -> tuple[list[tuple[Any, Any]], tuple[str, ...]]:
+    return [(key(name), value) for name, value in container.items()], tuple(container)
+
+
+def _plain(names: tuple[str, ...], values: Iterable[Any]) -> dict[str, Any]:
+    return dict(zip(names, values, strict=True))
+
+
+def _register_with_torch() -> None:
+    from torch.utils import _pytree as trees
+
+    with_keys = partial(_flat_with_keys, trees.MappingKey)
+    for kind in (AgentDict, _UnfilledAgentDict):
+        trees.register_pytree_node(
+            kind, _flat, lambda values, names: _plain(names, values), flatten_with_keys_fn=with_keys
+        )
+
+
+def _register_with_jax() -> None:
+    from jax import tree_util as trees
+
+    for kind in (AgentDict, _UnfilledAgentDict):
+        trees.register_pytree_with_keys(kind, partial(_flat_with_keys, trees.DictKey), _plain, _flat)
+
+
+when_imported("torch", _register_with_torch)
+when_imported("jax", _register_with_jax)
 
 
 class AgentSpaces(Mapping[str, Space[Any]]):
