@@ -42,7 +42,7 @@ from pearl_marl.checks import checked_choice
 from pearl_marl.devices.rtl import PATHS
 from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.devices.simulator.simulation import Simulation
-from pearl_marl.devices.xdma_transport import SERVER_LOCK
+from pearl_marl.devices.xdma import SERVER_LOCK
 from pearl_marl.errors import DeviceError
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import Control, Doorbell, Engine, Mode, Statistics, Status

@@ -17,7 +17,7 @@ import numpy as np
 from pearl_marl.devices import BatchConfig, Xdma
 from pearl_marl.devices.served import ServedBoard
 from pearl_marl.devices.transport import Exchange, Transport
-from pearl_marl.devices.xdma_transport import XdmaTransport
+from pearl_marl.devices.xdma import XdmaTransport
 from pearl_marl.memory_map import Engine, Status, StatusError
 
 IN_MEMORY = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None

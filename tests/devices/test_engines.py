@@ -20,7 +20,7 @@ from pearl_marl.devices.base import Phase
 from pearl_marl.devices.link_rollout import LinkRollout
 from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.devices.simulator.simulation import Simulation
-from pearl_marl.devices.xdma_transport import XdmaTransport
+from pearl_marl.devices.xdma import XdmaTransport
 from pearl_marl.errors import DeviceError, LockstepError
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import Engine, Mode, Statistics

@@ -19,12 +19,12 @@ import numpy as np
 import pytest
 
 from pearl_marl import get_spec
-from pearl_marl.devices import BatchConfig, Device, Native, Rtl, Xdma, discovery, make_device, xdma_transport
+from pearl_marl.devices import BatchConfig, Device, Native, Rtl, Xdma, discovery, make_device, xdma
 from pearl_marl.devices import served as served_board
 from pearl_marl.devices.served import ServedBoard
 from pearl_marl.devices.simulator.model_build import library
 from pearl_marl.devices.simulator.simulation import Simulation
-from pearl_marl.devices.xdma_transport import SERVER_LOCK, XdmaTransport
+from pearl_marl.devices.xdma import SERVER_LOCK, XdmaTransport
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware.build import Build
 from pearl_marl.memory_map import PROTOCOL_VERSION, Control, Doorbell, Status
@@ -234,14 +234,14 @@ def test_a_board_that_is_being_made_is_waited_for(
             else:
                 (tmp_path / "xdma0_h2c_0").write_bytes(b"")
 
-        monkeypatch.setattr("pearl_marl.devices.xdma_transport.time.sleep", goes_on)
-        xdma_transport.await_server(tmp_path)
+        monkeypatch.setattr("pearl_marl.devices.xdma.time.sleep", goes_on)
+        xdma.await_server(tmp_path)
     told = capsys.readouterr().err
     assert told == f"pearl: waiting for process {os.getpid()}, which makes a board at {tmp_path}\n"
 
 
 def test_nobody_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pearl_marl.devices.xdma_transport.time.sleep", lambda _: pytest.fail("it waits"))
+    monkeypatch.setattr("pearl_marl.devices.xdma.time.sleep", lambda _: pytest.fail("it waits"))
     (tmp_path / "file").write_text("")
     for folder, says in (
         (tmp_path, "there is no board at"),
@@ -346,7 +346,7 @@ def plugged_in(sys: Path, slot: str, driver: int | None, vendor: str = "0x10ee")
 
 def test_boards_are_found_in_sysfs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(discovery, "SYS", tmp_path)
-    monkeypatch.setattr(xdma_transport, "DEV", str(tmp_path))
+    monkeypatch.setattr(xdma, "DEV", str(tmp_path))
 
     def refusal() -> str:
         with pytest.raises(DeviceError) as refused:
@@ -367,7 +367,7 @@ def test_boards_are_found_in_sysfs(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_a_board_by_its_number(board: Path, monkeypatch: pytest.MonkeyPatch, expected: list[Any]) -> None:
-    monkeypatch.setattr(xdma_transport, "DEV", str(board))
+    monkeypatch.setattr(xdma, "DEV", str(board))
     device = Xdma().open(CONFIG)
     device.reset(seed=0)
     assert_same_trajectory(trajectory(device, ACTIONS), expected)
