@@ -394,12 +394,6 @@ def _tuples(array: npt.NDArray[Any]) -> list[tuple[Any, ...]]:
     return [tuple(row) for row in array]
 
 
-def python_values(array: npt.NDArray[Any]) -> list[Any]:
-    """Return the elements of a flat array as Python's own ``bool`` or ``float``."""
-    values: list[Any] = array.tolist()
-    return values
-
-
 def ended_infos(
     final_obs: npt.NDArray[Any],
     observations: Callable[[npt.NDArray[Any], npt.NDArray[np.intp]], Sequence[Any]],

@@ -28,7 +28,6 @@ from pearl_marl.interfaces.agent_dict import (
     Names,
     ended_infos,
     observations_in,
-    python_values,
 )
 from pearl_marl.interfaces.batch import Batch, DeviceBatch
 from pearl_marl.interfaces.view import BatchView
@@ -352,9 +351,9 @@ class PearlParallelEnv(BatchView, pettingzoo.ParallelEnv):  # type: ignore[misc]
                 masks = None if masks is None else masks[rows]
         return (
             AgentDict.of(agents, obs, self._observations(masks, rows)),
-            AgentDict.of(agents, rewards, python_values),
-            AgentDict.of(agents, terminations, python_values),
-            AgentDict.of(agents, truncations, python_values),
+            AgentDict.of(agents, rewards, np.ndarray.tolist),
+            AgentDict.of(agents, terminations, np.ndarray.tolist),
+            AgentDict.of(agents, truncations, np.ndarray.tolist),
             AgentDict.of(agents, ended, ended_infos(final_obs, self._last_observations)),
         )
 

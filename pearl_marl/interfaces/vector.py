@@ -53,11 +53,6 @@ def checked_mode(mode: AutoresetMode | str, render_mode: str | None) -> Autorese
         raise ArgumentError(f"autoreset_mode is {mode!r}; possible are {possible}") from None
 
 
-def slot_autoreset_mode(mode: AutoresetMode) -> AutoresetMode:
-    """Return when a device's slots begin again under a mode: in DISABLED mode at once, unseen."""
-    return AutoresetMode.SAME_STEP if mode is AutoresetMode.DISABLED else mode
-
-
 class PearlVectorEnv(BatchView, VectorEnv[Any, Any, Any]):
     """The slots of a batch as a ``gymnasium.vector.VectorEnv``, in wrappers or without.
 
@@ -99,10 +94,8 @@ class PearlVectorEnv(BatchView, VectorEnv[Any, Any, Any]):
         """Return an environment like this one of a batch that changes this one's."""
         return PearlVectorEnv(batch, self.autoreset_mode, self)
 
-    @property
-    def autoreset_mode(self) -> AutoresetMode:
-        """What becomes of sub-environments that ended; Gymnasium's own environments have it, too."""
-        return self._mode
+    autoreset_mode: AutoresetMode = inner("_mode")
+    """What becomes of sub-environments that ended; Gymnasium's own environments have it, too."""
 
     @property
     def np_random_seed(self) -> int:
@@ -280,14 +273,14 @@ def make_vec(
             f"{spec.name} has worlds of {spec.agents} agents, and a VectorEnv cannot represent those: "
             f"call pearl_marl.parallel_env({spec.name!r}, n_agents=...) instead"
         )
+    autoreset = mode is not AutoresetMode.DISABLED
     config = BatchConfig(
         spec=observed_as(spec, observations),
         n_envs=num_envs,
-        autoreset_mode=slot_autoreset_mode(mode),
+        autoreset_mode=mode if autoreset else AutoresetMode.SAME_STEP,  # at once then, and not shown
         max_cycles=max_cycles,
         initial_states=initial_states,
         copy=copy,
     )
-    autoreset = mode is not AutoresetMode.DISABLED
     batch = DeviceBatch(config, make_device(device), rewards, autoreset=autoreset, leaves=False)
     return PearlVectorEnv(batch, mode)

@@ -14,7 +14,7 @@ from gymnasium.spaces import Box, Discrete, Tuple
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pearl_marl.interfaces.agent_dict import AgentDict, ended_infos, observations_in, python_values
+from pearl_marl.interfaces.agent_dict import AgentDict, ended_infos, observations_in
 
 
 @pytest.fixture(autouse=True)
@@ -26,7 +26,7 @@ def few_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
 def pair(n: int) -> tuple[AgentDict, dict[str, Any]]:
     agents = [f"agent_{i}" for i in range(n)]
     array = np.arange(n, dtype=np.float64) / 4
-    return AgentDict.of(agents, array, python_values), dict(zip(agents, array.tolist(), strict=True))
+    return AgentDict.of(agents, array, np.ndarray.tolist), dict(zip(agents, array.tolist(), strict=True))
 
 
 class Named:
@@ -216,7 +216,7 @@ def test_nothing_is_filled_before_it_is_needed() -> None:
 
     def values(array: np.ndarray) -> list[Any]:
         calls.append(array)
-        return python_values(array)
+        return array.tolist()
 
     array = np.arange(5.0)
     lazy = AgentDict.of([f"agent_{i}" for i in range(5)], array, values)
@@ -236,7 +236,6 @@ def test_kinds_of_values() -> None:
     assert np.shares_memory(rows(square)[1], square)
     pairs = observations_in(Tuple((Discrete(5), Discrete(6))))
     assert pairs(square.astype(int)) == [(0, 1), (2, 3), (4, 5)]
-    assert [type(v) for v in python_values(np.array([True, False]))] == [bool, bool]
     infos = ended_infos(square, lambda array, _: rows(array))(np.array([False, True, False]))
     assert infos[0] == infos[2] == {}
     assert infos[0] is not infos[2], "a wrapper may write into each of them"
