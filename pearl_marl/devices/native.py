@@ -21,15 +21,11 @@ from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.slot_memory import SlotMemory, aligned_bytes, counter_dtype
 from pearl_marl.batch.step import BatchStep, Observed
 from pearl_marl.checks import checked_count_or_none
+from pearl_marl.compiler.addresses import address_of
 from pearl_marl.compiler.kernel_loops import BLOCK, RESULTS, STEP_ARGUMENTS
 from pearl_marl.compiler.kernels import compile_kernels
 from pearl_marl.devices.base import READY, Device
-from pearl_marl.devices.native_rollout import (
-    StepArrays,
-    address_of_step,
-    compiled_policy,
-    compiled_rollout,
-)
+from pearl_marl.devices.native_rollout import StepArrays, compiled_policy, compiled_rollout
 from pearl_marl.devices.rollouts import Record, Sums, element_dtype, in_parts, recorded_form
 from pearl_marl.devices.threads import ThreadCount, Threads, cores
 from pearl_marl.errors import ActionError
@@ -234,8 +230,8 @@ class Native(Device):
         """Do the steps of a rollout in the compiled loop; return its sums, and what is observed last."""
         config, spec = self.config, self.config.spec
         kernels = compile_kernels(policy.form(spec), self._elapsed.dtype)
-        actions = np.dtype(spec.action_dtype)
-        step = address_of_step(kernels, actions, self._arguments, self.reward_table)
+        actions = np.zeros(0, spec.action_dtype)
+        step = address_of(kernels.step, self._arguments, actions, self.reward_table, 0, 0)
         elapsed = self._elapsed.repeat(spec.agents)
         sums = Sums.of(elapsed, self.in_episode, self.resetting(), episodes)
         in_bytes = record.in_bytes()

@@ -16,9 +16,8 @@ from pearl_marl.base.arrays import Array
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.step import Observed
 from pearl_marl.compiler import addresses
-from pearl_marl.compiler.addresses import address_of, call_act, call_step
+from pearl_marl.compiler.addresses import call_act, call_step
 from pearl_marl.compiler.kernel_loops import BLOCK, STEP_ARGUMENTS
-from pearl_marl.compiler.kernels import Kernels
 from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.devices import rollouts
 from pearl_marl.devices.rollouts import Sums
@@ -41,12 +40,12 @@ key, draw = (rebound(function, finish=_jit) for function in (rng.key, rng.draw))
 
 
 class StepArrays(NamedTuple):
-    """What all agents are shown, do and get; every step writes over it."""
+    """What all agents are shown, do and get, as ``step`` names it; every step writes over it."""
 
-    elements: Array  # uint8: the bytes of elements, agent after agent
-    final: Array  # the same, of what they are shown last in an episode
-    masks: Array  # (n_agents, n_actions) int8; of no agents without masks
-    present: Array  # uint8
+    observations: Array  # uint8: the bytes of elements, agent after agent
+    final_observations: Array  # the same, of what they are shown last in an episode
+    action_masks: Array  # (n_agents, n_actions) int8; of no agents without masks
+    alive: Array  # uint8
     actions: Array  # uint8: the bytes of the words of actions
     rewards: Array  # float32
     terminations: Array  # uint8
@@ -71,17 +70,9 @@ class StepArrays(NamedTuple):
 
     def put_into(self, arguments: Array) -> None:
         """Have the kernel ``step`` work on these arrays."""
-        named = {
-            "observations": self.elements,
-            "final_observations": self.final,
-            "rewards": self.rewards,
-            "terminations": self.terminations,
-            "truncations": self.truncations,
-            "action_masks": self.masks,
-            "alive": self.present,
-        }
-        for name, array in named.items():
-            arguments[STEP_ARGUMENTS.index(name)] = array.ctypes.data
+        for name, array in self._asdict().items():
+            if name != "actions":  # which are an argument by themselves
+                arguments[STEP_ARGUMENTS.index(name)] = array.ctypes.data
 
 
 @called
@@ -89,7 +80,7 @@ def _add(sums: Sums, batch: StepArrays, first: int, n: int, t: int, next_step: i
     """Add a step of ``n`` agents to the sums; lengths are less by the steps before the present one."""
     rewards, terminations = batch.rewards[first : first + n], batch.terminations[first : first + n]
     truncations, waiting = batch.truncations[first : first + n], sums.waiting[first : first + n]
-    running, present = sums.running[first : first + n], batch.present[first : first + n]
+    running, present = sums.running[first : first + n], batch.alive[first : first + n]
     # Of unsigned indices none counts from the end, so that these loops are vectorised.
     for k in range(np.uint64(n)):
         running[k] += rewards[k] if waiting[k] == 0 else np.float32(0)
@@ -136,8 +127,8 @@ def _make_draws(arguments: Array, tick: Any, agents: int, b: int, draws: Array) 
 def _rollout(act, policy, n_draws, step, arguments, table, batch, sums, record, agents, steps, lo, hi):  # type: ignore[no-untyped-def]
     rows, fields = BLOCK * agents, record.words.shape[2]
     n_agents = len(batch.rewards)
-    row, size = len(batch.elements) // n_agents, len(batch.actions) // (n_agents * fields)
-    masked, keep = len(batch.masks) > 0, len(record.rewards) > 0
+    row, size = len(batch.observations) // n_agents, len(batch.actions) // (n_agents * fields)
+    masked, keep = len(batch.action_masks) > 0, len(record.rewards) > 0
     learns = record.present.shape[1] > 0
     draws = np.empty((rows, n_draws), np.uint32)
     words = np.empty((rows, fields), np.int64)
@@ -147,7 +138,7 @@ def _rollout(act, policy, n_draws, step, arguments, table, batch, sums, record, 
         e = min(b + BLOCK, hi)
         first, last = b * agents, e * agents
         n = last - first
-        elements, masks = batch.elements[first * row : last * row], batch.masks[first:last]
+        elements, masks = batch.observations[first * row : last * row], batch.action_masks[first:last]
         own, of_block = words[:n], draws[:n]
         flat, actions = own.reshape(-1), batch.actions[first * fields * size : last * fields * size]
         to_act, to_step = (policy, elements, masks, of_block, own, logits), (mine, batch.actions, table, b, e)
@@ -176,7 +167,7 @@ def _rollout(act, policy, n_draws, step, arguments, table, batch, sums, record, 
                 if masked:
                     put_rows(masks, record.masks[t, first:last])
             if learns:
-                put(batch.present[first:last], record.present[t, first:last])
+                put(batch.alive[first:last], record.present[t, first:last])
             call_step(step, to_step)
             _add(sums, batch, first, n, t, arguments[NEXT_STEP])
             if keep:
@@ -186,7 +177,7 @@ def _rollout(act, policy, n_draws, step, arguments, table, batch, sums, record, 
             if learns:
                 for i in range(first, last):
                     if batch.truncations[i]:
-                        put(batch.final[i * row : (i + 1) * row], record.final[t, i])
+                        put(batch.final_observations[i * row : (i + 1) * row], record.final[t, i])
         for i in range(first, last):
             sums.length[i] += steps
 
@@ -213,8 +204,3 @@ def compiled_policy(policy: DevicePolicy, elements: np.dtype[Any]) -> CompiledPo
     """Return a policy compiled for elements of a dtype; ``None`` if it cannot be."""
     compiled = _COMPILED.get(type(policy))
     return None if compiled is None else compiled(policy, elements)
-
-
-def address_of_step(kernels: Kernels, actions: np.dtype[Any], arguments: Array, table: Array) -> int:
-    """Return the address of the kernel ``step`` for words of actions of a dtype."""
-    return address_of(kernels.step, arguments, np.zeros(0, actions), table, 0, 0)
