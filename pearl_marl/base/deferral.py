@@ -17,7 +17,6 @@ import _signal  # type: ignore[import-not-found]
 import functools
 import itertools
 import os
-import signal
 import threading
 import time
 from collections.abc import Callable
@@ -30,11 +29,7 @@ PATIENCE = 0.5
 """Seconds after a signal that was kept from which on the next one is not."""
 
 # Besides Ctrl-C, those that programs have handlers for which raise: of a timeout, or of a request to end.
-_KEPT = [
-    int(getattr(signal, name))
-    for name in ("SIGINT", "SIGTERM", "SIGALRM", "SIGHUP", "SIGUSR1", "SIGUSR2")
-    if hasattr(signal, name)
-]
+_KEPT = [_signal.SIGINT, _signal.SIGTERM, _signal.SIGALRM, _signal.SIGHUP, _signal.SIGUSR1, _signal.SIGUSR2]
 
 
 class _Signals:
@@ -99,8 +94,7 @@ class _Signals:
 
 
 _signals = _Signals()
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_signals.forget)
+os.register_at_fork(after_in_child=_signals.forget)
 
 
 def uninterrupted(call: Callable[P, R]) -> Callable[P, R]:

@@ -100,7 +100,7 @@ class ThreadCount:
 
 def cores() -> int:
     """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return len(os.sched_getaffinity(0))
 
 
 def _become_member(members: set[int]) -> None:
@@ -115,5 +115,4 @@ def _settle_all() -> None:
         threads.settle()
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(before=_settle_all)
+os.register_at_fork(before=_settle_all)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
 import signal
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -19,6 +18,7 @@ from pearl_marl.batch.actions import random_actions
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.compiler.packing import FORMS, observed_as
 from pearl_marl.devices.native import Native
+from pearl_marl.devices.threads import cores
 from pearl_marl.envs import get_spec
 from pearl_marl.policies.integer_network import unchanging_network
 
@@ -66,7 +66,7 @@ def warm(env_id: str, options: dict[str, Any]) -> Warmed:
 def warm_all(env_ids: Iterable[str], options: dict[str, Any]) -> Iterator[Warmed]:
     """Do so for several environments, as many at once as there are cores; yield each when it is done."""
     ids = list(env_ids)
-    workers = min(len(ids), len(os.sched_getaffinity(0)))
+    workers = min(len(ids), cores())
     if workers < 2:
         yield from (warm(env_id, options) for env_id in ids)
         return
