@@ -11,6 +11,9 @@ import numpy.typing as npt
 
 from pearl_marl.base.arrays import Array
 
+SUMS = ("returns", "squares", "lengths", "ended", "truncated")
+"""What is always there of a rollout."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rollout:
@@ -62,15 +65,8 @@ class Rollout:
     @classmethod
     def total(cls, parts: Sequence[Rollout]) -> Rollout:
         """Return the sums of rollouts of several devices, which have one element each."""
-
-        def added(name: str) -> Array:
-            sums: Array = np.sum([getattr(part, name) for part in parts], axis=0)
-            return sums
-
-        return cls(
-            steps=parts[0].steps,
-            **{name: added(name) for name in ("returns", "squares", "lengths", "ended", "truncated")},
-        )
+        sums = {name: np.sum([getattr(part, name) for part in parts], axis=0) for name in SUMS}
+        return cls(steps=parts[0].steps, **sums)
 
     @property
     def episodes(self) -> int:

@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl.base.arrays import Array
 from pearl_marl.batch.config import BatchConfig
 from pearl_marl.batch.results import check_memory
-from pearl_marl.batch.rollout import Experience, Rollout
+from pearl_marl.batch.rollout import SUMS, Experience, Rollout
 from pearl_marl.batch.step import BatchStep, Observed
 from pearl_marl.checks import checked_count_or_none, checked_flag, checked_integer
 from pearl_marl.compiler.kernels import compile_kernels
@@ -97,15 +97,7 @@ class Sums(NamedTuple):
 
     def result(self, steps: int, recorded: dict[str, Any]) -> Rollout:
         """Return the result of a rollout of so many steps, with what was recorded of them."""
-        return Rollout(
-            steps=steps,
-            truncated=self.truncated,
-            returns=self.returns,
-            squares=self.squares,
-            lengths=self.lengths,
-            ended=self.ended,
-            **recorded,
-        )
+        return Rollout(steps=steps, **{name: getattr(self, name) for name in SUMS}, **recorded)
 
 
 class Record(NamedTuple):
