@@ -79,12 +79,8 @@ def _format() -> str:
     return hashlib.sha256(inspect.getsource(sys.modules[__name__]).encode()).hexdigest()
 
 
-class MachineCode:
+class MachineCode(Entries):
     """What Numba's dispatchers ask of a cache: machine code for each signature and processor."""
-
-    def __init__(self, entries: Entries) -> None:
-        self._entries = entries
-        self.flush = entries.flush
 
     @property
     def cache_path(self) -> str:
@@ -93,7 +89,7 @@ class MachineCode:
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """Return the machine code for a signature, or None where there is none."""
-        found = self._entries.load((signature, context.codegen().magic_tuple()))
+        found = self.load((signature, context.codegen().magic_tuple()))
         if found is None:
             return None
         called, made = found
@@ -108,7 +104,7 @@ class MachineCode:
         if not made.library.has_dynamic_globals:
             key = signature, made.target_context.codegen().magic_tuple()
             called = object_code.called(made.library.get_llvm_str())
-            self._entries.save(key, (called, IMPLEMENTATION.reduce(None, made)))
+            self.save(key, (called, IMPLEMENTATION.reduce(None, made)))
 
 
 def kept_code(dispatcher: Any, name: str) -> Any:
@@ -130,7 +126,7 @@ def kept_code(dispatcher: Any, name: str) -> Any:
         )
     compile_ = dispatcher.compile
     # As enable_caching() does, with what Numba has for it.
-    vars(dispatcher).update(_cache=MachineCode(Entries(name)))
+    vars(dispatcher).update(_cache=MachineCode(name))
 
     def compile_alone(signature: Any) -> Any:
         with locked(cache_folder("kernels") / f"{name}.lock"):
