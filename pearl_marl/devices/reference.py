@@ -64,9 +64,7 @@ class Reference(Device):
         by_agent = actions.reshape(config.n_envs, -1).T
         words = self._words(spec.positional.step, [*memory.state, *by_agent, *draws], fields)
         state, outcome = words[: len(spec.state)], words[len(spec.state) :]
-        reward, terminated = (
-            np.stack(columns, 1) for columns in (outcome[: spec.agents], outcome[spec.agents :])
-        )
+        reward, terminated = np.stack(outcome[: spec.agents], 1), np.stack(outcome[spec.agents :], 1)
 
         # NEXT_STEP: a slot that ended has run on unseen, and begins now instead.
         resetting = (memory.ended & 1).astype(np.bool_)
@@ -124,15 +122,12 @@ class Reference(Device):
         return self._random_start(tick, slots) if self._stored is None else self._stored.state
 
     def _random_start(self, tick: int, slots: Array) -> list[Array]:
-        spec, columns = (
-            self.config.spec,
-            [np.zeros(len(self._slots), f.dtype) for f in self.config.spec.state],
-        )
+        spec = self.config.spec
+        columns = [np.zeros(len(self._slots), f.dtype) for f in spec.state]
         if slots.any():
             draws = self._draws(tick, 0, spec.reset_draws, slots)
-            for column, words in zip(
-                columns, self._words(spec.positional.initial, draws, spec.state), strict=True
-            ):
+            start = self._words(spec.positional.initial, draws, spec.state)
+            for column, words in zip(columns, start, strict=True):
                 column[slots] = words if draws else words[slots]
         return columns
 
@@ -169,11 +164,10 @@ class Reference(Device):
         if spec.positional.masks is not None:
             assert results.action_masks is not None
             by_agent = [
-                self._words(spec.positional.masks, state, spec.mask_fields, *agent) for agent in spec.views
+                np.stack(self._words(spec.positional.masks, state, spec.mask_fields, *agent), -1)
+                for agent in spec.views
             ]
-            results.action_masks[...] = np.stack([np.stack(words, -1) for words in by_agent], 1).reshape(
-                len(rows), -1
-            )
+            results.action_masks[...] = np.stack(by_agent, 1).reshape(len(rows), -1)
             results.action_masks[rows] = 0
         if spec.agents > 1:
             results.in_episode[...] = ~rows

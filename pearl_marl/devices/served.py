@@ -104,10 +104,8 @@ class ServedBoard:
             try:
                 self._folder.mkdir(parents=True, exist_ok=True)
                 self._lock(opened)
-                for (
-                    node
-                ) in self._nodes():  # of a server that was killed: a host that comes now waits for ours
-                    node.unlink(missing_ok=True)
+                for node in self._nodes():
+                    node.unlink(missing_ok=True)  # of a killed server: a host that comes now waits for ours
                 self._simulation = Simulation(library(build), build.layout, path == "backdoor", None)
                 opened.callback(self._simulation.close)
                 self._make_nodes(opened)
