@@ -121,6 +121,9 @@ class Device(ABC):
     has_engine = False
     """Whether it has a policy engine: then a rollout is one call of the hardware, and sums come back."""
 
+    runs_networks = False
+    """Whether it can run a network of floats beside its environments: see :meth:`experience`."""
+
     recovery_type: type[CheckpointLog] | None = None
     """What keeps them; ``None`` where nothing can fail under way."""
 
@@ -382,11 +385,6 @@ class Device(ABC):
                 result, observed = self._rollout(policy, steps, record, episodes)
             self._remember(observed)
             return result
-
-    @property
-    def runs_networks(self) -> bool:
-        """Whether it can run a network of floats beside its environments: see :meth:`experience`."""
-        return False
 
     def experience(self, network: DenseNetwork, noise: Array) -> Experience:
         """Do a rollout for a learner, on a device that ``runs_networks``; see :meth:`rollout`.

@@ -108,7 +108,8 @@ class CommBram(Device):
             mirror.all_due = True
             mirror.due = np.zeros_like(mirror.due)
             if mirror.repeats:
-                mirror.draw_starts(self.seed, self.tick)
+                every = np.ones_like(mirror.due)
+                mirror.start(mirror.starts, every, self.seed, self.tick, use_stored=False)
                 self._protocol.write_region("initial_states", self.config.spec.state, mirror.starts.state)
             return self._slots()[1]
         except BaseException:
@@ -163,7 +164,7 @@ class CommBram(Device):
             protocol.doorbell[Doorbell.SEQUENCE] = sequence = (protocol.sequence + 1) & 0xFFFFFFFF
             result, cycles = run.run(protocol.transport, mode, sequence, self.patience)
             self.tick = (self.tick + steps) & rng.LAST_TICK
-            protocol.confirm_rollout(self._settings(self.tick), cycles)
+            protocol.confirm(self._settings(self.tick), cycles)
             mirror.begun(mode)
             if config.spec.agents > 1 or config.spec.mask_fields or mirror.next_step:
                 memory, (_, self.action_masks, self.in_episode) = self._slots()
@@ -293,10 +294,6 @@ class Mirror:
         if self.next_step or config.spec.agents > 1:
             self._ended = self.ended_after(words[-1])
         return results
-
-    def draw_starts(self, seed: tuple[int, int], tick: int) -> None:
-        """Draw where each slot starts."""
-        self.start(self.starts, np.ones(self._config.n_envs, np.bool_), seed, tick, use_stored=False)
 
     def start(
         self, memory: SlotMemory, mask: Array, seed: tuple[int, int], tick: int, *, use_stored: bool

@@ -40,9 +40,9 @@ class Threads:
         if self._pool is None or self._process != os.getpid():
             self._process = os.getpid()
             self._under_way.clear()
-            self._members.clear()
+            members = self._members = set()
             self._pool = ThreadPoolExecutor(
-                self._count, self._name, initializer=_become_member, initargs=(self._members,)
+                self._count, self._name, initializer=lambda: members.add(threading.get_ident())
             )
         future = self._pool.submit(call, *arguments)
         self._under_way.add(future)
@@ -101,10 +101,6 @@ class ThreadCount:
 def cores() -> int:
     """Return how many cores this process may use."""
     return len(os.sched_getaffinity(0))
-
-
-def _become_member(members: set[int]) -> None:
-    members.add(threading.get_ident())
 
 
 _all: weakref.WeakSet[Threads] = weakref.WeakSet()

@@ -234,14 +234,13 @@ class Protocol:
             unpack(source, bits, words, stride, offset)
         return ""
 
-    def confirm(self, settings: Settings) -> None:
-        """Take note that the step has succeeded, after which the hardware has counted on to ``settings``."""
-        self.sequence = int(self.doorbell[Doorbell.SEQUENCE])
-        self.settings, self.cycles = settings, int(self._exchange.status[Status.CYCLES])
+    def confirm(self, settings: Settings, cycles: int | None = None) -> None:
+        """Take note that the step, or a rollout of ``cycles``, has succeeded.
 
-    def confirm_rollout(self, settings: Settings, cycles: int) -> None:
-        """Take note that a rollout has succeeded, which took so many cycles."""
-        self.sequence, self.settings, self.cycles = int(self.doorbell[Doorbell.SEQUENCE]), settings, cycles
+        The hardware has counted on to ``settings`` after it.
+        """
+        self.sequence, self.settings = int(self.doorbell[Doorbell.SEQUENCE]), settings
+        self.cycles = int(self._exchange.status[Status.CYCLES]) if cycles is None else cycles
 
     @property
     def unconfirmed(self) -> bool:
