@@ -134,13 +134,16 @@ class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
             self.env.device.check_idle("step", ready=True)
             raise OrderError("step() with no agent left: every episode has ended, call reset() first")
         agent = self.agent_selection
-        ended = self._has_ended(agent)
-        if not ended and agent != self._due[0]:
-            raise ActionError(f"{agent}: action {action!r} out of turn; {self._due[0]} is on turn")
-        self._check(action)
-        if ended:
+        if self._has_ended(agent):
+            if action is not None:
+                raise ActionError(f"{agent}: action {action!r}, but its episode has ended: it takes None")
             self._was_dead_step(action)
             return
+        if agent != self._due[0]:
+            raise ActionError(f"{agent}: action {action!r} out of turn; {self._due[0]} is on turn")
+        masks = on_host(self.env.action_masks) if self.env.spec.masked == "refused" else None
+        space: Any = self.env.action_space(agent)
+        self.env.batch.action_rules.check_one(self.env.row_of(agent), action, space, masks)
         before = self.rewards, self._cumulative_rewards[agent]
         if not self._chosen:  # the first since all worlds stepped
             self.rewards = dict.fromkeys(self.agents, 0.0)
@@ -154,17 +157,6 @@ class PearlAECEnv(AECEnv):  # type: ignore[misc]  # pettingzoo has no types
             self._due.appendleft(agent)
             del self._chosen[agent]
             raise
-
-    def _check(self, action: Any) -> None:
-        """Refuse an action that the selected agent may not take."""
-        agent = self.agent_selection
-        if self._has_ended(agent):
-            if action is not None:
-                raise ActionError(f"{agent}: action {action!r}, but its episode has ended: it takes None")
-            return
-        space: Any = self.env.action_space(agent)
-        masks = on_host(self.env.action_masks) if self.env.spec.masked == "refused" else None
-        self.env.batch.action_rules.check_one(self.env.row_of(agent), action, space, masks)
 
     def _was_dead_step(self, action: Any) -> None:
         """Have the selected agent leave; PettingZoo's wrappers call this, too."""
