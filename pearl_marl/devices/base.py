@@ -562,7 +562,7 @@ class Device(ABC):
     def put(self, start: Mapping[str, Array], mask: npt.ArrayLike | None = None) -> Array:
         """Set fields of states, in the masked slots or all; return every agent's observation.
 
-        ``start`` is what :func:`pearl_marl.batch.starts.checked_start` returns. Where slots replay stored
+        ``start`` is what :func:`pearl_marl.batch.config.checked_start` returns. Where slots replay stored
         initial states, these are set, too.
         """
         saved = self.snapshot()
