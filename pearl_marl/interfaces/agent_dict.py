@@ -17,7 +17,7 @@ and PyTorch a subclass of ``dict`` is one leaf of a tree, until they are told; t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
+from functools import partial, wraps
 from itertools import compress
 from typing import Any, overload
 
@@ -129,14 +129,13 @@ def fill_first(unfilled: type[Any], plain: type[Any], *names: str) -> None:
 
 
 def _filled_first(unfilled: type[Any], plain: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(plain)
     def method(self: Any, *args: Any, **kwargs: Any) -> Any:
         for lazy in (self, *args):
             if isinstance(lazy, unfilled):
                 lazy.fill()
         return plain(self, *args, **kwargs)
 
-    method.__name__ = plain.__name__
-    method.__doc__ = plain.__doc__
     return method
 
 

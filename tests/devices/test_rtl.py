@@ -415,7 +415,7 @@ def test_a_cache_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.Monk
 def test_the_hash_sees_what_matters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Other sources, options, parameters or tools are other entries."""
     entries = []
-    monkeypatch.setattr(model_build, "_whole", lambda entry: entries.append(entry.name) or True)
+    monkeypatch.setattr(model_build, "_sound", lambda path, _: entries.append(path.parent.name) or True)
     build = Build.of(SPEC, 7, 1, 32)
     model_build.library(build)
     model_build.library(build, traced=True)

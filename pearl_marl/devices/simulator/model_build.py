@@ -95,7 +95,7 @@ def library(build: Build, traced: bool = False, pipelined: bool = True) -> Path:
     title = f"{spec.name}-{layout.n_envs}-{layout.pe_num}-{layout.data_wl}{'' if pipelined else '-serial'}"
     entry = folder / f"{title}{'-traced' if traced else ''}-{digest}"
     with locked(folder / f"{entry.name}.lock"):
-        if not _whole(entry):
+        if not _sound(entry / "model.so", entry / _CHECKSUM):
             shutil.rmtree(entry, ignore_errors=True)
             for left_over in folder.glob(f"{entry.name}.*.tmp"):
                 shutil.rmtree(left_over, ignore_errors=True)
@@ -179,10 +179,6 @@ def _keep(work: Path, common: Path) -> None:
     built = {path for path in work.glob("verilated*.o") if not (common / path.name).exists()}
     for path in built:
         keep(common / path.name, path.read_bytes())
-
-
-def _whole(entry: Path) -> bool:
-    return _sound(entry / "model.so", entry / _CHECKSUM)
 
 
 def _sound(path: Path, beside: Path) -> bool:
