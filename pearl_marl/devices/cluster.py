@@ -82,7 +82,7 @@ def check_address(address: str) -> None:
         ) from None
 
 
-def start_actor(cls: type, *args: Any, resources: Mapping[str, float] | None = None, **kwargs: Any) -> Any:
+def start_actor(cls: type, resources: Mapping[str, float] | None) -> Any:
     """Start an actor where its resources are, and return its handle once it is ready.
 
     Without resources it takes none, not even a core: any number of them fits on any machine. Ray spreads
@@ -90,8 +90,8 @@ def start_actor(cls: type, *args: Any, resources: Mapping[str, float] | None = N
 
     Parameters
     ----------
-    cls, *args, **kwargs
-        A plain class, whose constructor should do little: what it raises is not told from a lost actor.
+    cls
+        A plain class, whose constructor takes nothing.
     resources
         What it holds while it lives, by Ray's names: ``{"CPU": 2}``, ``{"GPU": 1}``, ``{"fpga": 1}``.
 
@@ -112,7 +112,7 @@ def start_actor(cls: type, *args: Any, resources: Mapping[str, float] | None = N
             options[_OPTIONS[name]] = amount
         else:
             options["resources"][name] = amount
-    actor = ray.remote(cls).options(**options).remote(*args, **kwargs)
+    actor = ray.remote(cls).options(**options).remote()
 
     def facts(_: object) -> tuple[str, str, str]:  # inside, so that it travels as code, not as a name
         import platform
