@@ -360,7 +360,6 @@ _UNSIGNED: dict[int, np.dtype[Any]] = {size: np.dtype(f"u{size}") for size in (1
 
 @compiled
 def _largest(source: Any) -> Any:
-    """Return the largest number."""
     largest = source.dtype.type(0)
     for i in range(source.size):
         largest = max(largest, source[i])

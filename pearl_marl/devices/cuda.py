@@ -150,14 +150,10 @@ class Cuda(Device):
         flags = np.ones(n, np.uint8) if mask is None else mask.astype(np.uint8)
         flags = self._gpu.to_device(flags, stream=self._stream())
         block = self._block if self._block is not None else self._new_block()
-        position = (
-            *self._result_layout.starts[5:],
-            *self.seed,
-            rng.signed(self.tick),
-            self.config.first_slot,
-        )
         self._launch(
-            self._kernels.reset, self._memory, self._stored, flags, self._array(block), *position, again, n
+            self._kernels.reset,
+            *(self._memory, self._stored, flags, self._array(block), *self._result_layout.starts[5:]),
+            *(*self.seed, rng.signed(self.tick), self.config.first_slot, again, n),
         )
         if self._torch is not None:
             return (self._in_tensors(block) if self._tensors is None else self._tensors).observed

@@ -79,11 +79,8 @@ class Divergence:
 
     def as_json(self) -> dict[str, Any]:
         """Return it as a dict of what JSON has types for."""
-        return {
-            **asdict(self),
-            "field": self.field,
-            "differences": [d._asdict() for d in self.differences],
-        }
+        differences = [difference._asdict() for difference in self.differences]
+        return {**asdict(self), "field": self.field, "differences": differences}
 
     @classmethod
     def from_json(cls, value: dict[str, Any]) -> Self:

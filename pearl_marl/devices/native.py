@@ -244,7 +244,6 @@ class Native(Device):
     def _run_part(
         self, policy: CompiledPolicy, seen: Observed, step: int, sums: Sums, record: Record, steps: int
     ) -> None:
-        """Do some steps of a rollout."""
         batch = StepArrays.of(self.config, seen)
         self._arguments[_SEEDS] = self._seed = self.seed
         arguments = self._arguments.copy()

@@ -111,7 +111,6 @@ def _add(sums: Sums, batch: StepArrays, first: int, n: int, t: int, next_step: i
 
 @called
 def _make_draws(arguments: Array, tick: Any, agents: int, b: int, draws: Array) -> None:
-    """Make the draws of a block's agents."""
     seed_0, seed_1 = np.uint32(arguments[SEED_0]), np.uint32(arguments[SEED_1])
     count = draws.shape[1]
     for agent in range(agents):

@@ -24,7 +24,7 @@ from pearl_marl.batch.config import GOLDEN, BatchConfig, worlds_of
 from pearl_marl.batch.results import check_memory
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import size
-from pearl_marl.devices.divergence import Divergence
+from pearl_marl.devices.divergence import Difference, Divergence
 from pearl_marl.envs import registered_spec
 from pearl_marl.errors import ArgumentError, PearlError, brief, one_line
 from pearl_marl.golden.rng import checked_seed
@@ -164,9 +164,6 @@ _KINDS: dict[str, type] = {
 """What a divergence is told by."""
 
 
-_DIFFERENCE = {"field", "device_value", "reference_value"}
-
-
 def _check_divergence(told: dict[str, Any], config: BatchConfig) -> None:
     """Refuse what is told of a divergence that cannot have been."""
     for name, kind in _KINDS.items():
@@ -182,7 +179,7 @@ def _check_divergence(told: dict[str, Any], config: BatchConfig) -> None:
     if not told["differences"]:
         raise ArgumentError("it has no differences")
     for difference in told["differences"]:
-        if difference.keys() != _DIFFERENCE or not all(map(_is_word, difference.values())):
+        if difference.keys() != set(Difference._fields) or not all(map(_is_word, difference.values())):
             raise ArgumentError(f"one of its differences is {brief(difference)}")
     actions = told["action"] if isinstance(told["action"], list) else [told["action"]]
     if not all(action is None or (_is_word(action) and not isinstance(action, str)) for action in actions):

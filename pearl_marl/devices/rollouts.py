@@ -65,18 +65,10 @@ class Sums(NamedTuple):
         n = len(in_episode)
         waiting = np.where(resetting, 2, ~in_episode.astype(np.bool_)).astype(np.uint8)
         whole = ((elapsed == 0) | (waiting != 0)).astype(np.uint8)
-        return cls(
-            np.zeros(n, np.float64),
-            np.zeros(n, np.int64),
-            whole,
-            waiting,
-            np.zeros(n, np.float64),
-            np.zeros(n, np.float64),
-            np.zeros(n, np.int64),
-            np.zeros(n, np.int64),
-            np.zeros(n, np.int64),
-            np.full(n, np.iinfo(np.int64).max if episodes is None else episodes),
-        )
+        most = np.full(n, np.iinfo(np.int64).max if episodes is None else episodes)
+        running, returns, squares = np.zeros((3, n), np.float64)
+        length, lengths, ended, truncated = np.zeros((4, n), np.int64)
+        return cls(running, length, whole, waiting, returns, squares, lengths, ended, truncated, most)
 
     def add(self, step: BatchStep, next_step: bool) -> None:
         """Count one step; with ``next_step``, worlds that end spend the next one on their reset."""

@@ -236,7 +236,6 @@ class ServedBoard:
         return part
 
     def _put(self, begin: int, part: Bytes) -> None:
-        """Write bytes into the file."""
         self._check_size()  # or it would grow again, with zeros where there was something
         done = 0
         while done < len(part):
@@ -282,7 +281,6 @@ class ServedBoard:
         os.write(self._events, struct.pack("=I", 1))
 
     def _rings_rollout(self) -> bool:
-        """Return whether the doorbell is that of a rollout."""
         mode = self.layout["doorbell"].offset + 4 * Doorbell.MODE
         rollout = int(self._memory[mode : mode + 4].view("<u4")[0]) & Mode.ROLLOUT
         return self.layout.engine is not None and bool(rollout)

@@ -85,17 +85,8 @@ class Simulation(Transport):
 
     def step(self, offset: int, data: Stream, answer_offset: int, answer: Stream) -> None:
         """Write, clock until the interrupt, and read, in one call."""
-        self._check(
-            self._functions.pearl_step(
-                self._host,
-                offset,
-                data.ctypes.data,
-                data.size,
-                answer_offset,
-                answer.ctypes.data,
-                answer.size,
-            )
-        )
+        sent, room = (data.ctypes.data, data.size), (answer.ctypes.data, answer.size)
+        self._check(self._functions.pearl_step(self._host, offset, *sent, answer_offset, *room))
 
     def peek(self, signal: str) -> int:
         """Return the present value of a signal, by its name in the hierarchy under ``pearl_top``."""
