@@ -94,8 +94,10 @@ class PearlVectorEnv(BatchView, VectorEnv[Any, Any, Any]):
         """Return an environment like this one of a batch that changes this one's."""
         return PearlVectorEnv(batch, self.autoreset_mode, self)
 
-    autoreset_mode: AutoresetMode = inner("_mode")
-    """What becomes of sub-environments that ended; Gymnasium's own environments have it, too."""
+    @property
+    def autoreset_mode(self) -> AutoresetMode:
+        """What becomes of sub-environments that ended; Gymnasium's own environments have it, too."""
+        return self._mode
 
     @property
     def np_random_seed(self) -> int:
