@@ -8,7 +8,7 @@ import math
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -32,63 +32,36 @@ GAP = 4
 _SHADES = " ░▒▓█"
 
 
-class Renderer(Protocol):
-    """Draws one world."""
+class Renderer:
+    """Draws one world in a render mode: by the environment's own drawing, or that of the one it follows."""
+
+    def __init__(self, spec: EnvSpec, mode: str) -> None:
+        check_render_mode(spec, mode)
+        self._spec, self._mode = spec, mode
+        self._env: Any = None
+        if spec.draw is None:
+            assert spec.oracle is not None
+            with _installed(spec):
+                self._env = gymnasium.make(spec.oracle, render_mode=mode, **spec.options).unwrapped
+                self._env.reset()
 
     def render(self, state: npt.NDArray[Any]) -> Any:
         """Draw a world's state (its row of :meth:`pearl_marl.devices.Device.state`).
 
         Returns an image of shape ``(height, width, 3)``, a string, or ``None`` for ``"human"``.
         """
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-
-
-def renderer(spec: EnvSpec, mode: str) -> Renderer:
-    """Return what draws worlds of an environment in one of its render modes."""
-    check_render_mode(spec, mode)
-    return OracleRenderer(spec, mode) if spec.draw is None else OwnRenderer(spec)
-
-
-class OwnRenderer:
-    """Draws one world with the environment's own drawing."""
-
-    def __init__(self, spec: EnvSpec) -> None:
-        assert spec.draw is not None
-        self._draw, self._spec = spec.draw, spec
-
-    def render(self, state: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-        """Draw a world's state as an image of shape ``(height, width, 3)``."""
-        with _installed(self._spec):
-            drawn = self._draw(self._spec.layout.built(state.tolist()))
-        return _picture(self._spec, drawn)
-
-    def close(self) -> None:
-        """Close nothing: there is no window."""
-
-
-class OracleRenderer:
-    """Draws one world with the renderer of the environment that ours follows, in one of its render modes."""
-
-    def __init__(self, spec: EnvSpec, mode: str) -> None:
-        assert spec.oracle is not None
-        assert spec.pose is not None
-        self._pose, self._spec, self._mode = spec.pose, spec, mode
+        spec, built = self._spec, self._spec.layout.built(state.tolist())
+        if spec.draw is None:
+            assert spec.pose is not None
+            spec.pose(self._env, built)
         with _installed(spec):
-            self._env = gymnasium.make(spec.oracle, render_mode=mode, **spec.options).unwrapped
-            self._env.reset()
-
-    def render(self, state: npt.NDArray[Any]) -> Any:
-        """Draw a world's state, as the render mode has it."""
-        self._pose(self._env, self._spec.layout.built(state.tolist()))
-        with _installed(self._spec):
-            drawn = self._env.render()
-        return _picture(self._spec, drawn) if self._mode == "rgb_array" else drawn
+            drawn = self._env.render() if spec.draw is None else spec.draw(built)
+        return drawn if spec.draw is None and self._mode != "rgb_array" else _picture(spec, drawn)
 
     def close(self) -> None:
         """Close the window, if there is one."""
-        self._env.close()
+        if self._env is not None:
+            self._env.close()
 
 
 def _picture(spec: EnvSpec, drawn: Any) -> npt.NDArray[np.uint8]:
@@ -143,7 +116,7 @@ class Video:
         self._image, self._drawing = _import_pillow()
         self._labels = labels
         self._path, self._milliseconds = path, 1000 // spec.render_fps
-        self._renderer = renderer(spec, "rgb_array")
+        self._renderer = Renderer(spec, "rgb_array")
         self._frames: list[Any] = []
         self._first: list[npt.NDArray[np.uint8]] = []
         self._still = self._plain = True

@@ -15,7 +15,7 @@ import pytest
 import pearl_marl
 from pearl_marl.errors import ArgumentError, OrderError, PearlError
 from pearl_marl.experiments.environment_figures import facts, ours
-from pearl_marl.rendering import HeatMap, Video, renderer
+from pearl_marl.rendering import HeatMap, Renderer, Video
 from pearl_marl.spec import EnvSpec
 
 INSTALL = r"pip install '\.\[render\]'"
@@ -110,7 +110,7 @@ def test_pictures_are_bytes(name: str) -> None:
 def test_floats_become_bytes() -> None:
     for dtype in (np.float16, np.float32, np.float64):
         shades = np.linspace(0, 1, 256, dtype=dtype).repeat(3).reshape(16, 16, 3)
-        picture = renderer(drawn_by(lambda state, shades=shades: shades), "rgb_array").render(
+        picture = Renderer(drawn_by(lambda state, shades=shades: shades), "rgb_array").render(
             np.zeros(2, int)
         )
         assert picture.dtype == np.uint8
@@ -134,7 +134,7 @@ def test_floats_become_bytes() -> None:
 )
 def test_pictures_that_are_none(drawn: Any, words: str) -> None:
     with pytest.raises(PearlError, match=f"CliffWalking has the .*{words}.*must be uint8") as caught:
-        renderer(drawn_by(lambda state: drawn), "rgb_array").render(np.zeros(2, int))
+        Renderer(drawn_by(lambda state: drawn), "rgb_array").render(np.zeros(2, int))
     assert "\n" not in str(caught.value)
 
 

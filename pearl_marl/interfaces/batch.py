@@ -27,7 +27,7 @@ from pearl_marl.errors import ArgumentError, OrderError, renamed
 from pearl_marl.golden.rng import checked_seed
 from pearl_marl.interfaces.world import Mask, World
 from pearl_marl.policies.device_policy import DevicePolicy
-from pearl_marl.rendering import Renderer, check_render_mode, renderer
+from pearl_marl.rendering import Renderer, check_render_mode
 from pearl_marl.spec.elements import ActionSpace
 
 
@@ -328,7 +328,7 @@ class DeviceBatch(Batch):
             self._rendered_world = world
         state = self.device.state()[self._rendered_world]
         if self._renderer is None:
-            self._renderer = renderer(self.spec, self.render_mode)
+            self._renderer = Renderer(self.spec, self.render_mode)
         return self._renderer.render(state)
 
     def _show(self) -> None:
