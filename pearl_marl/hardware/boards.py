@@ -20,6 +20,7 @@ from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.engines import with_engine
 from pearl_marl.hardware.fitting import PARTS, modelled_bram36, most
+from pearl_marl.hardware.synthesis import read_design
 from pearl_marl.memory_map import Engine, MemoryMap
 from pearl_marl.policies.device_policy import DevicePolicy
 from pearl_marl.spec import EnvSpec
@@ -227,7 +228,7 @@ def write(board: Board, build: Build, folder: Path) -> list[str]:
     }
     if board.flow:
         synthesis = board.flow.synthesis.format(top=board.top)
-        texts["synthesis.ys"] = f"{read_design(board, listed)}\n{synthesis}\n"
+        texts["synthesis.ys"] = f"{read_design(board.top, listed)}\n{synthesis}\n"
     texts |= {f"rtl/{path.name}": path.read_text("utf-8") for path in paths}
     check_files(folder, *texts)
     for name, text in texts.items():
@@ -246,12 +247,6 @@ package pearl_build_pkg;
 
 endpackage
 """
-
-
-def read_design(board: Board, files: list[str]) -> str:
-    """Return the Yosys commands that read a board's design from ``files``, in their order."""
-    # The WebAssembly build has no threads.
-    return f"read_slang --threads 1 --top {board.top} {' '.join(files)}\nchformal -remove"
 
 
 @dataclass(frozen=True, slots=True)

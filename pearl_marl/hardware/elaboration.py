@@ -29,7 +29,7 @@ from pearl_marl.compiler.loading import fingerprint
 from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError, DeviceError
 from pearl_marl.hardware.build import Build
-from pearl_marl.memory_map import Engine, MemoryMap, stream_bits
+from pearl_marl.memory_map import Engine, stream_bits
 from pearl_marl.spec import EnvSpec, snake_case, word_bits
 
 if TYPE_CHECKING:
@@ -302,20 +302,11 @@ def env_hash(spec: EnvSpec) -> int:
     return zlib.crc32(f"{spec.id} {spec.behaviour}".encode()) & 0x7FFFFFFF
 
 
-def address_bits(layout: MemoryMap) -> int:
-    """Return how many bits of byte address reach the whole map and a hole after it."""
-    return layout.end(layout.regions[-1].name).bit_length()
-
-
-def parameters(build: Build) -> dict[str, int]:
-    """Return the parameters of ``pearl_top``, but for the widths of its bus's addresses and ids."""
-    layout = build.layout
-    return {"N_ENVS": layout.n_envs, "PE_NUM": layout.pe_num, "DATA_WL": layout.data_wl}
-
-
 def top_parameters(build: Build) -> dict[str, int]:
-    """Return :func:`parameters` and the width of an address that reaches the whole map, and not much more.
+    """Return the parameters of ``pearl_top``, with addresses that reach the whole map and a hole after it.
 
     So everything that simulates or measures the design alone has it; a board's bus has a width of its own.
     """
-    return {**parameters(build), "ADDR_BITS": address_bits(build.layout)}
+    layout = build.layout
+    bits = layout.end(layout.regions[-1].name).bit_length()
+    return {"N_ENVS": layout.n_envs, "PE_NUM": layout.pe_num, "DATA_WL": layout.data_wl, "ADDR_BITS": bits}

@@ -59,6 +59,8 @@ class Cells:
     bram36: Mapping[str, float]
     dsp: str
     synthesis: str
+    mapping: str = "map_ram"
+    """The stage of its synthesis that maps memories, which ends with ``map_ffram``."""
 
 
 CELLS = {
@@ -75,6 +77,7 @@ CELLS = {
         dsp="DSP48E1",
         # The bus ends inside the FPGA, at the PCIe core: no pads.
         synthesis="synth_xilinx -family xc7 -noiopad -noclkbuf -top pearl_top",
+        mapping="map_memory",
     ),
     Family.ECP5: Cells(
         # A carry cell is two LUTs, a 16x4 memory four and two more for its write port.
@@ -94,13 +97,6 @@ CELLS = {
         dsp="MULTALU27X18",
         synthesis="synth_gowin -family gw5a -setundef -noiopads -top pearl_top",
     ),
-}
-
-# Where the synthesis scripts are cut to see the memories before and after they are mapped.
-_MEMORY_STAGES = {
-    Family.XC7: ("map_memory", "map_ffram"),
-    Family.ECP5: ("map_ram", "map_ffram"),
-    Family.GOWIN: ("map_ram", "map_ffram"),
 }
 
 
@@ -259,32 +255,30 @@ def _read(path: Path) -> dict[str, Any] | None:
     return None if content is None else dict(json.loads(content))
 
 
-def read_design(build: Build, files: Iterable[str]) -> str:
-    """Return the Yosys command that reads the design from ``files``, in their order."""
+def read_design(top: str, files: Iterable[str], parameters: Mapping[str, int] = {}) -> str:
+    """Return the Yosys commands that read a design from ``files``, in their order."""
     words = [
         # The WebAssembly build has no threads.
-        *("read_slang", "--threads", "1", "--top", "pearl_top"),
+        *("read_slang", "--threads", "1", "--top", top),
         # A plain number would have to fit a signed integer.
-        *(f"-G {name}=32'd{value}" for name, value in elaboration.top_parameters(build).items()),
+        *(f"-G {name}=32'd{value}" for name, value in parameters.items()),
         *files,
     ]
-    return " ".join(words)
+    return " ".join(words) + "\nchformal -remove"
 
 
 def _script(build: Build, family: Family, files: list[str], placement: Placement | None) -> str:
-    synthesis = CELLS[family].synthesis
-    before, after = _MEMORY_STAGES[family]
+    synthesis, mapping = CELLS[family].synthesis, CELLS[family].mapping
     return "\n".join(
         [
-            read_design(build, files),
-            "chformal -remove",
-            f"{synthesis} -run begin:{before}",
+            read_design("pearl_top", files, elaboration.top_parameters(build)),
+            f"{synthesis} -run begin:{mapping}",
             "tee -q -o memories.txt dump t:$mem_v2",
-            f"{synthesis} -run {before}:{after}",
+            f"{synthesis} -run {mapping}:map_ffram",
             "tee -q -o mapped.json stat -json",
             f"tee -q -o block.txt select -list {' '.join(f't:{cell}' for cell in CELLS[family].bram36)}",
             "tee -q -o flip_flops.txt select -list t:$mem_v2",
-            f"{synthesis} -run {after}:",
+            f"{synthesis} -run map_ffram:",
             "tee -q -o cells.json stat -json",
             placement.netlist if placement else "",
             "",

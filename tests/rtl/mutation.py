@@ -24,6 +24,7 @@ from scenarios import BUILD, POLICIES, host_script, rollout_script, with_policy
 from pearl_marl.compiler.cores import ACT
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.synthesis import read_design
 
 FLIP_FLOP = "$_DFF_P_"
 
@@ -51,14 +52,11 @@ def choose(build: Build, folder: Path, count: int, seed: int) -> list[Mutant]:
         if path.name not in BUS:
             (folder / path.name).write_text(path.read_text())
             names.append(path.name)
-    bits = elaboration.address_bits(build.layout) - 2
-    parameters = {**elaboration.parameters(build), "WORD_ADDR_BITS": bits}
-    read = ["read_slang --threads 1 --top pearl_backbone"]
-    read += [f"-G {name}=32'd{value}" for name, value in parameters.items()]
+    parameters = elaboration.top_parameters(build)
+    parameters["WORD_ADDR_BITS"] = parameters.pop("ADDR_BITS") - 2
     yosys(
         folder,
-        " ".join([*read, *names]),
-        "chformal -remove",
+        read_design("pearl_backbone", names, parameters),
         # Without what does nothing anyway, since a fault in it does nothing either.
         "prep -top pearl_backbone",
         "opt -full",

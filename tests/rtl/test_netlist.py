@@ -36,8 +36,7 @@ def mapped(build: Build, folder: Path) -> str:
         names.append(path.name)
     yosys(
         folder,
-        read_design(build, names),
-        "chformal -remove",
+        read_design("pearl_top", names, elaboration.top_parameters(build)),
         CELLS[Family.XC7].synthesis,
         # Only mapped cells are left: nothing of the sources is compared with itself.
         "select -assert-none t:$*",
