@@ -177,12 +177,7 @@ def filter_words(spec: EnvSpec, inputs: Patches, engine: Engine) -> Words:
         raise _refusal(f"has {engine.filters} filters, and this policy {count}")
     _fit(inputs.weights, engine.weight_bits, "weights")
     numbers = np.concatenate([inputs.weights.reshape(count, -1), inputs.bias[:, None]], 1)
-    room = 1 << (numbers.shape[1] - 1).bit_length()
-    words = np.zeros((-(-engine.filters // engine.products), 1 << (engine.products - 1).bit_length(), room))
-    words = words.astype(np.int64)
-    chunk, column = np.divmod(np.arange(count), engine.products)
-    words[chunk, column, : numbers.shape[1]] = numbers
-    return _unsigned(words.ravel())
+    return _by_products(numbers, engine.products, engine.filters)
 
 
 def _padded(layer: Dense, inputs: Patches, engine: Engine) -> Dense:
@@ -196,11 +191,17 @@ def _padded(layer: Dense, inputs: Patches, engine: Engine) -> Dense:
 
 def scaling_words(inputs: Scaling, products: int) -> Words:
     """Return two words of each element; each ``products`` elements begin at a multiple of a power of two."""
-    count = len(inputs.offset)
-    words = np.zeros((-(-count // products), 1 << (products - 1).bit_length(), 2), np.int64)
-    chunk, column = np.divmod(np.arange(count), products)
-    words[chunk, column, 0] = inputs.offset
-    words[chunk, column, 1] = inputs.multiplier | inputs.shift << MULTIPLIER_BITS
+    numbers = np.stack([inputs.offset, inputs.multiplier | inputs.shift << MULTIPLIER_BITS], 1)
+    return _by_products(numbers, products, len(numbers))
+
+
+def _by_products(numbers: npt.NDArray[np.integer], products: int, count: int) -> Words:
+    """Return the words of rows of numbers, padded as above, with room for ``count`` rows."""
+    width = numbers.shape[1]
+    room = -(-count // products), 1 << (products - 1).bit_length(), 1 << (width - 1).bit_length()
+    words = np.zeros(room, np.int64)
+    chunk, column = np.divmod(np.arange(len(numbers)), products)
+    words[chunk, column, :width] = numbers
     return _unsigned(words.ravel())
 
 
