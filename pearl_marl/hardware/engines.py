@@ -66,10 +66,8 @@ def _network(policy: IntegerNetwork, drawn: bool, layout: MemoryMap) -> Engine:
     inputs, layers = policy.inputs, policy.layers
     assert not isinstance(inputs, Rows)
     weights = [layer.weights for layer in layers]
-    values = [inputs.limit, *(layer.limit for layer in layers[:-1])]
-    values += [
-        int(edge) for layer in layers[:-1] if len(layer.activation) for edge in _edges(layer.activation)
-    ]
+    limits = np.array([inputs.limit, *(layer.limit for layer in layers[:-1])])
+    values = [limits, *(layer.activation for layer in layers[:-1])]
     # Filters make the first layer so long that its pauses do not count.
     many = len(layers) > 1 and not isinstance(inputs, Patches)
     rounds = min(ROUNDS if many else 1, layout.groups)
@@ -83,16 +81,12 @@ def _network(policy: IntegerNetwork, drawn: bool, layout: MemoryMap) -> Engine:
         hidden=max([1, *(len(layer.bias) for layer in layers[:-1])]),
         layers=len(layers),
         weight_bits=max([WEIGHT_BITS, *map(_bits, weights)]),
-        value_bits=max(VALUE_BITS, _bits(np.array(values))),
+        value_bits=max([VALUE_BITS, *map(_bits, values)]),
         filters=len(inputs.bias) if isinstance(inputs, Patches) else 1,
     )
 
 
-def _edges(numbers: npt.NDArray[np.integer]) -> tuple[int, int]:
-    return int(numbers.min()), int(numbers.max())
-
-
 def _bits(numbers: npt.NDArray[np.integer]) -> int:
     """Return the width of integers, sign included."""
-    low, high = _edges(numbers) if numbers.size else (0, 0)
+    low, high = (int(numbers.min()), int(numbers.max())) if numbers.size else (0, 0)
     return max(high.bit_length(), (~low if low < 0 else low).bit_length()) + 1
