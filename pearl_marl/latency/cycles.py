@@ -12,11 +12,11 @@ from pearl_marl.spec import EnvSpec
 _FIRST_ISSUE = 9
 """Cycles of a step in which the sequencer starts and the first row of actions comes out of its memory."""
 
-_FETCH = 4
+FETCH = 4
 """Cycles from a group's issue to when cores get its states (``issue_to_core`` of ``rtl/pearl_pkg.sv``)."""
 
-_DRAW_LATENCY = 11
-"""The same for its random draws (``DRAW_LATENCY``), which the states then wait for."""
+DRAW_LATENCY = 11
+"""The same for its random draws (``DRAW_LATENCY``), for which states wait; and of a round of their keys."""
 
 RESULTS = ("observations", "rewards", "ters")
 """The regions that a step's results leave in, each from a memory of its own."""
@@ -41,7 +41,7 @@ def step_cycles(
     """
     timing = elaboration.core_timing(spec, target)
     groups, word = layout.groups, layout.data_wl
-    fetch = _DRAW_LATENCY if spec.reset_draws + spec.step_draws else _FETCH
+    fetch = DRAW_LATENCY if spec.reset_draws + spec.step_draws else FETCH
     to_words = fetch + timing.latency + 3
 
     def row(name: str) -> int:
@@ -136,7 +136,7 @@ def draws_wait(spec: EnvSpec, layout: MemoryMap) -> int:
     written. A link takes longer than they do; the simulated port may not.
     """
     draws = spec.reset_draws + spec.step_draws
-    keys = _DRAW_LATENCY * (1 + draws) + 2 if draws else 0
+    keys = DRAW_LATENCY * (1 + draws) + 2 if draws else 0
     return max(0, keys - read_cycles(layout) - (write_cycles(layout) - _UNTIL_RUNNING))
 
 

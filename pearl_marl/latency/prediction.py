@@ -197,10 +197,5 @@ class Overlap:
 
     def as_json(self) -> dict[str, Any]:
         """Return it as JSON has it."""
-        return {
-            "half": self.half.as_json(),
-            "loads": self.loads,
-            "total": self.total,
-            "rate": self.rate,
-            "bottleneck": self.bottleneck,
-        }
+        sums = {name: getattr(self, name) for name in ("loads", "total", "rate", "bottleneck")}
+        return {"half": self.half.as_json(), **sums}

@@ -8,12 +8,11 @@ from itertools import pairwise
 from pearl_marl.compiler.targets import Target
 from pearl_marl.errors import ArgumentError
 from pearl_marl.hardware import elaboration
+from pearl_marl.latency.cycles import DRAW_LATENCY, FETCH
 from pearl_marl.memory_map import Engine, MemoryMap
 from pearl_marl.spec import EnvSpec
 
 _READ_LATENCY = 2
-_DRAW_LATENCY = 11
-"""Cycles from a slot's number to its random draw (``rtl/pearl_pkg.sv``), and of a round of their keys."""
 
 _BETWEEN = 5
 """Cycles from when the sums of a step are complete to the first issue of the next one, without keys."""
@@ -47,7 +46,7 @@ def rollout_step_cycles(
         raise ArgumentError("the build has no policy engine; lay it out with one")
     timing, draws = elaboration.core_timing(spec, target), spec.reset_draws + spec.step_draws
     # From a group's issue to its results.
-    depth = (_DRAW_LATENCY if draws else _READ_LATENCY + 2) + timing.latency
+    depth = (DRAW_LATENCY if draws else FETCH) + timing.latency
     engine, interval, groups = layout.engine, timing.interval, layout.groups
     if engine.is_network:
         way = depth + _to_inputs(spec, engine, target)
@@ -56,13 +55,13 @@ def rollout_step_cycles(
         issued = _issues(depth + _to_actions(spec, engine, target) + 1, interval, groups)
     counted = depth + _READ_LATENCY + 3 + _levels(layout.pe_num * spec.agents)
     keys = max(draws, spec.agents * engine.draws)
-    return issued + counted + (_DRAW_LATENCY * (1 + keys) + _KEYS if keys else _BETWEEN)
+    return issued + counted + (DRAW_LATENCY * (1 + keys) + _KEYS if keys else _BETWEEN)
 
 
 def _to_actions(spec: EnvSpec, engine: Engine, target: Target) -> int:
     """Return the cycles that a table or a golden function takes from what a group is shown to its actions."""
     if engine.kind == "golden":
-        waits = _DRAW_LATENCY if engine.draws else 1
+        waits = DRAW_LATENCY if engine.draws else 1
         return waits + elaboration.act_core(spec, engine, target).latency
     lookup = 1 + _levels(len(spec.observation) + 1) + _READ_LATENCY
     return lookup + _choice(spec, engine)
@@ -119,7 +118,7 @@ def _choice(spec: EnvSpec, engine: Engine) -> int:
     actions = sum(spec.action_counts)
     if not engine.drawn:
         return actions
-    return max(2 * actions + 2 + _READ_LATENCY, _DRAW_LATENCY) + 4
+    return max(2 * actions + 2 + _READ_LATENCY, DRAW_LATENCY) + 4
 
 
 def _levels(terms: int) -> int:
