@@ -414,25 +414,23 @@ def memory_map(
         "elapsed": ELAPSED_BITS,
     }
     regions: list[Region] = []
-    offset = 0
+
+    def add(name: str, rows: int, row_words: int, row_slots: int = 0, slot_bits: int = 0) -> None:
+        offset = regions[-1].offset + regions[-1].words * data_wl // 8 if regions else 0
+        regions.append(Region(name, offset, rows, row_words, row_slots, slot_bits))
+
     for name in REGION_NAMES:
         if name in registers:
-            rows, row_words, row_slots, slot_bits = 1, -(-32 * registers[name] // data_wl), 0, 0
+            add(name, 1, -(-32 * registers[name] // data_wl))
         elif name in streams:
-            slot_bits = streams[name]
-            rows, row_words, row_slots = 1, -(-n_envs * slot_bits // data_wl), n_envs
+            add(name, 1, -(-n_envs * streams[name] // data_wl), n_envs, streams[name])
         else:
-            slot_bits = by_group[name]
-            least_words = -(-pe_num * slot_bits // data_wl)
-            rows, row_words, row_slots = groups, 1 << (least_words - 1).bit_length(), pe_num
-        region = Region(name, offset, rows, row_words, row_slots, slot_bits)
-        regions.append(region)
-        offset += region.words * data_wl // 8
+            least_words = -(-pe_num * by_group[name] // data_wl)
+            add(name, groups, 1 << (least_words - 1).bit_length(), pe_num, by_group[name])
     if engine is not None:
         sizes = -(-32 * STATISTICS_WORDS // data_wl), 1 << engine.index_bits(spec)
         for name, words in zip(ENGINE_REGION_NAMES, sizes, strict=True):
-            regions.append(Region(name, offset, 1, words, 0, 0))
-            offset += words * data_wl // 8
+            add(name, 1, words)
     return MemoryMap(n_envs, pe_num, data_wl, groups, tuple(regions), engine)
 
 
