@@ -91,31 +91,23 @@ class Original:
 
     def step(self, actions: Sequence[Any]) -> Outcome:
         """Take an action of each agent."""
-        outcome = self._outcome(actions)
-        self.over = outcome.over
-        return outcome
-
-    def _outcome(self, actions: Sequence[Any]) -> Outcome:
+        given = actions[0]
+        if self.names:
+            pairs = zip(self.names, actions, strict=True)
+            given = {agent: action for agent, action in pairs if agent in self.env.agents}
         with _quiet():
-            if not self.names:
-                seen, reward, terminated, truncated, _ = self.env.step(actions[0])
-                self.observations = [seen]
-                return Outcome(self.observations, [float(reward) + 0.0], [bool(terminated)], bool(truncated))
-            alive = list(self.env.agents)
-            given = {
-                agent: action for agent, action in zip(self.names, actions, strict=True) if agent in alive
-            }
             seen, rewards, ends, truncations, _ = self.env.step(given)
-        self._ended = [
-            ended or bool(ends.get(agent)) for agent, ended in zip(self.names, self._ended, strict=True)
-        ]
-        self.observations = [seen.get(agent) for agent in self.names]
-        return Outcome(
-            self.observations,
-            [float(rewards.get(agent, 0)) + 0.0 for agent in self.names],
-            list(self._ended),
-            any(truncations.values()),
-        )
+        if self.names:
+            self._ended = [
+                ended or bool(ends.get(agent)) for agent, ended in zip(self.names, self._ended, strict=True)
+            ]
+            observed = [seen.get(agent) for agent in self.names]
+            paid = [float(rewards.get(agent, 0)) + 0.0 for agent in self.names]
+            outcome = Outcome(observed, paid, list(self._ended), any(truncations.values()))
+        else:
+            outcome = Outcome([seen], [float(rewards) + 0.0], [bool(ends)], bool(truncations))
+        self.observations, self.over = outcome.observations, outcome.over
+        return outcome
 
     def actions(self, rng: np.random.Generator) -> list[Any]:
         """Return a random action of each agent."""
@@ -201,16 +193,16 @@ def _made(name: str, options: Mapping[str, Any]) -> Any:
         raise ArgumentError(f"{name} cannot be made: {type(error).__name__}: {one_line(error)}") from error
     if isinstance(env, gymnasium.Env):
         return env
-    if hasattr(env, "possible_agents") and not hasattr(env, "agent_selection"):
-        return env
     if hasattr(env, "agent_selection"):
         raise ArgumentError(
             f"{name} is an AEC environment of PettingZoo; take its parallel one: parallel_env"
         )
-    raise ArgumentError(
-        f"{name} makes a {type(env).__name__}; it must be an environment of Gymnasium (gymnasium.Env) or a "
-        "parallel one of PettingZoo"
-    )
+    if not hasattr(env, "possible_agents"):
+        raise ArgumentError(
+            f"{name} makes a {type(env).__name__}; it must be an environment of Gymnasium (gymnasium.Env) or "
+            "a parallel one of PettingZoo"
+        )
+    return env
 
 
 def _found(name: str) -> Any:
@@ -270,11 +262,7 @@ def _registered(name: str, options: Mapping[str, Any]) -> gymnasium.Env[Any, Any
     try:
         with _quiet():
             return gymnasium.make(name, **options)
-    except (
-        gymnasium.error.NameNotFound,
-        gymnasium.error.VersionNotFound,
-        gymnasium.error.NamespaceNotFound,
-    ) as error:
+    except gymnasium.error.UnregisteredEnv as error:
         raise ArgumentError(
             f"Gymnasium has no environment {name!r}: {one_line(error)} "
             "(a class is named 'package.module:Class')"
