@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from itertools import islice
 from typing import Any, NamedTuple, NoReturn
 
@@ -96,7 +96,7 @@ def finite(original: Original) -> Finite:
     return result
 
 
-def merged(outcomes: Iterator[Transition] | tuple[Transition, ...]) -> dict[tuple[int, float, bool], float]:
+def merged(outcomes: Iterable[Transition]) -> dict[tuple[int, float, bool], float]:
     """Return the probability of each outcome, once each."""
     result: dict[tuple[int, float, bool], float] = {}
     for probability, *what in outcomes:
@@ -135,7 +135,7 @@ def _of_table(original: Original, table: Any) -> Finite:
             total = sum(t.probability for t in listed)
             if not listed or abs(total - 1) > 1e-6 or any(not 0 <= t.after < n for t in listed):
                 raise NotFiniteError(f"the probabilities of its P[{state}][{action}] make {total}")
-            if len(merged(tuple(listed))) == 1:
+            if len(merged(listed)) == 1:
                 listed = listed[:1]
                 total = listed[0].probability
             actions.append(tuple(t._replace(probability=t.probability / total) for t in listed))
@@ -175,6 +175,11 @@ def _hold(original: Original, found: Finite, number_of: Callable[[Original], int
             if outcome.over:
                 break
             state = after
+
+
+def _count(size: Any) -> int:
+    """Return how many numbers an array of a size has, as NumPy takes sizes; ``None`` is one number."""
+    return math.prod(np.atleast_1d(1 if size is None else size).tolist())
 
 
 def _state(number: int | None) -> str:
@@ -236,12 +241,8 @@ class Ways:
         if np.ndim(low) or np.ndim(high):
             self._real("integers() of arrays")
         count = int(high) - int(low) + endpoint
-        if size is None:
-            return int(low) + self._below(count)
-        shape = (size,) if np.ndim(size) == 0 else tuple(size)
-        return np.array(
-            [int(low) + self._below(count) for _ in range(math.prod(shape))], dtype or np.int64
-        ).reshape(shape)
+        numbers = (int(low) + self._below(count) for _ in range(_count(size)))
+        return next(numbers) if size is None else np.array([*numbers], dtype or np.int64).reshape(size)
 
     randint = integers
 
@@ -251,16 +252,15 @@ class Ways:
         shares = [1 / len(options)] * len(options) if p is None else [float(share) for share in p]
         if size is None:
             return options[self._distinct(options, shares)]
-        shape = (size,) if np.ndim(size) == 0 else tuple(size)
         taken = []
-        for _ in range(math.prod(shape)):
+        for _ in range(_count(size)):
             k = self._choose(shares)
             taken.append(options[k])
             if not replace:
                 del options[k], shares[k]
                 total = sum(shares)
                 shares = [share / total for share in shares] if total else shares
-        return np.array(taken).reshape(shape)
+        return np.array(taken).reshape(size)
 
     def _distinct(self, options: list[Any], shares: list[float]) -> int:
         """Choose among options; of equal ones the first stands for all."""
@@ -305,7 +305,10 @@ class _Search:
     def run(self) -> Finite:
         self._original.reset(seed=0)
         try:
-            starts = merged(iter([Transition(p, s, 0, False) for p, s in self._begin()]))
+            starts = merged(
+                Transition(p, self._number(there, there.observations[0], False), 0, False)
+                for there, p, _ in self._ways(self._original, None, MOST_STARTS)
+            )
             rows = self._expand()
         except _RealDrawError as error:
             raise NotFiniteError(
@@ -324,37 +327,29 @@ class _Search:
     def _found(self) -> str:
         return f"{len(self._at):,} states found"
 
-    def _begin(self) -> Iterator[tuple[float, int]]:
-        for original, probability, _ in self._ways(self._original, None, MOST_STARTS):
-            yield probability, self._number(original, original.observations[0], False)
-
     def _expand(self) -> tuple[tuple[tuple[Transition, ...], ...], ...]:
         space = self._original.action_space
         assert isinstance(space, Discrete)
         rows: dict[int, tuple[tuple[Transition, ...], ...]] = {}
-        state = 0
         waiting = list(range(len(self._at)))
-        while waiting:
-            following: list[int] = []
-            for state in waiting:
-                here = self._at[state]
-                if state in rows or not self._continued[state] or here is None:
-                    continue
-                actions = []
-                for action in range(int(space.n)):
-                    outcomes = []
-                    for after, probability, outcome in self._ways(here, action, MOST_WAYS):
-                        known = len(self._at)
-                        number = self._number(after, outcome.observations[0], outcome.over)
-                        if number == known or not outcome.over:
-                            following.append(number)
-                        outcomes.append(
-                            Transition(probability, number, outcome.rewards[0], outcome.terminated[0])
-                        )
-                    actions.append(tuple(Transition(p, *what) for what, p in merged(tuple(outcomes)).items()))
-                rows[state] = tuple(actions)
-                self._at[state] = None  # its copies are in the others
-            waiting = following
+        for state in waiting:  # which grows
+            here = self._at[state]
+            if here is None or not self._continued[state]:
+                continue
+            actions = []
+            for action in range(int(space.n)):
+                outcomes = []
+                for after, probability, outcome in self._ways(here, action, MOST_WAYS):
+                    known = len(self._at)
+                    number = self._number(after, outcome.observations[0], outcome.over)
+                    if number == known or not outcome.over:
+                        waiting.append(number)
+                    outcomes.append(
+                        Transition(probability, number, outcome.rewards[0], outcome.terminated[0])
+                    )
+                actions.append(tuple(Transition(p, *what) for what, p in merged(outcomes).items()))
+            rows[state] = tuple(actions)
+            self._at[state] = None  # its copies are in the others
         reward = next((t.reward for row in rows.values() for t in row[0]), 0.0)
         return tuple(
             rows.get(k) or ((Transition(1.0, k, reward, True),),) * int(space.n) for k in range(len(self._at))

@@ -42,14 +42,12 @@ def made(name: str, original_name: str, options: dict[str, Any], rules: bool = F
     if not rules:
         try:
             found = finite(original)
-            result = tables(found)
-            if not isinstance(result, str):
-                said = (
-                    f"All {found.states:,} states of {original_name} with their transitions are in tables, "
-                    f"with {found.width} outcome{'s' * (found.width > 1)} of an action at most."
-                )
-                return Package(of_tables(name, original, found, result), True, None, said, against)
-            why = result
+            files = of_tables(name, original, found, tables(found))
+            said = (
+                f"All {found.states:,} states of {original_name} with their transitions are in tables, "
+                f"with {found.width} outcome{'s' * (found.width > 1)} of an action at most."
+            )
+            return Package(files, True, None, said, against)
         except NotFiniteError as error:
             why = str(error)
         except Exception as error:  # of the original, run with what it does not expect

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pearl_marl.golden import call_reference
-from pearl_marl.porting.finite import PROBABILITY_ERROR, Finite, Transition, finite, merged
+from pearl_marl.porting.finite import PROBABILITY_ERROR, Finite, NotFiniteError, Transition, finite, merged
+from pearl_marl.porting.oracle import Ours
 from pearl_marl.porting.originals import Original
 from pearl_marl.spec import EnvSpec
 
@@ -53,8 +54,14 @@ class Tables(NamedTuple):
     """Bits of those behind the binary point."""
 
 
-def tables(found: Finite) -> Tables | str:
-    """Return the tables of an environment, or why there are none."""
+def tables(found: Finite) -> Tables:
+    """Return the tables of an environment.
+
+    Raises
+    ------
+    NotFiniteError
+        They would be larger, or of finer numbers, than tables can be.
+    """
     rewards: dict[float, int] = {}
     kinds: dict[tuple[int, ...], int] = {}
     rows = [outcomes for actions in found.rows for outcomes in actions]
@@ -65,16 +72,13 @@ def tables(found: Finite) -> Tables | str:
         if len(outcomes) > 1:
             kinds.setdefault(_least([t.probability for t in outcomes]), len(kinds))
     if len(rewards) > 1 << 16:
-        return f"it has {len(rewards):,} different rewards, and a table takes 65,536"
+        raise NotFiniteError(f"it has {len(rewards):,} different rewards, and a table takes 65,536")
     flat: list[Transition] = []
     chances = []
     for outcomes in rows:
         # Of one outcome every entry is the same, and then any kind does.
         chances.append(kinds[_least([t.probability for t in outcomes])] if len(outcomes) > 1 else 0)
         flat += [*outcomes, *[outcomes[-1]] * (width - len(outcomes))]
-    words = _observation_words(found)
-    if isinstance(words, str):
-        return words
     shares = [p for p, _ in found.starts]
     alike = max(shares) - min(shares) < 1e-12
     return Tables(
@@ -87,7 +91,7 @@ def tables(found: Finite) -> Tables | str:
         tuple(chances),
         tuple(state for _, state in found.starts),
         None if alike else _least(shares),
-        *words,
+        *_observation_words(found),
     )
 
 
@@ -96,10 +100,10 @@ def _least(shares: Sequence[float]) -> tuple[int, ...]:
     return tuple(round(math.fsum(shares[:k]) / total * ALL) for k in range(1, len(shares)))
 
 
-def _observation_words(found: Finite) -> tuple[tuple[tuple[int, ...], ...] | None, int] | str:
+def _observation_words(found: Finite) -> tuple[tuple[tuple[int, ...], ...] | None, int]:
     seen = np.array(found.observations)
     if not np.isfinite(seen).all():
-        return "its observations are not all finite"
+        raise NotFiniteError("its observations are not all finite")
     if seen.shape[1] == 1 and np.array_equal(seen[:, 0], np.arange(len(seen))):
         return None, 0
     for fraction in range(MOST_FRACTION + 1):
@@ -107,7 +111,9 @@ def _observation_words(found: Finite) -> tuple[tuple[tuple[int, ...], ...] | Non
         if np.array_equal(scaled, np.rint(scaled)) and np.abs(scaled).max() < 2**62:
             return tuple(map(tuple, scaled.astype(np.int64).tolist())), fraction
     first = next(value for value in seen.ravel() if np.ldexp(value, MOST_FRACTION) % 1)
-    return f"it shows numbers such as {first:g}, which take more than {MOST_FRACTION} bits behind the point"
+    raise NotFiniteError(
+        f"it shows numbers such as {first:g}, which take more than {MOST_FRACTION} bits behind the point"
+    )
 
 
 # ---- As a module ----
@@ -246,16 +252,14 @@ def first_wrong_transition(spec: EnvSpec, original: Original) -> str | None:
 
 
 def _wrong_observation(spec: EnvSpec, found: Finite) -> str | None:
-    words = call_reference(spec.positional.observe, (np.arange(found.states),))
-    columns = [
-        np.ldexp(np.asarray(w, float), -f.fraction) for w, f in zip(words, spec.observation, strict=True)
-    ]
-    seen = np.stack([np.broadcast_to(column, found.states) for column in columns], 1)
+    ours = Ours(spec, found.states)
+    ours.words = [np.arange(found.states)]
+    seen = ours.observations()[:, 0]
     wrong = np.flatnonzero((seen != np.array(found.observations)).any(1))
     if not wrong.size:
         return None
     state = int(wrong[0])
-    own, due = tuple(seen[state].tolist()), found.observations[state]
+    own, due = tuple(map(float, seen[state])), found.observations[state]
     return f"state {state}: observed is {own}, the original's {due}"
 
 
