@@ -201,6 +201,9 @@ def _table_words(original: Original, found: Finite, made: Tables) -> dict[str, s
         ]
         helpers = True
     view = _view(original, made)
+    shown = "state.number" if made.observations is None else "OBSERVATIONS[state.number]"
+    if view:
+        shown = f"View(list({shown}))" if len(found.observations[0]) > 1 else f"View([{shown}])"
     kinds = ["Range"] + (["Array"] if view else []) + (["Signed"] if "Signed[" in view else [])
     rendered = original.registered and not original.options and found.of_table and hasattr(original.env, "s")
     return {
@@ -220,13 +223,7 @@ def _table_words(original: Original, found: Finite, made: Tables) -> dict[str, s
         "@initial@": "\n".join(f"    {line}" for line in start),
         "@step@": "\n".join(f"    {line}" for line in lines),
         "@observed@": "View" if view else "Word" if len(found.observations[0]) == 1 else "tuple[Word, ...]",
-        "@observe@": "return View(list(OBSERVATIONS[state.number]))"
-        if view and len(found.observations[0]) > 1
-        else "return View([OBSERVATIONS[state.number]])"
-        if view
-        else "return state.number"
-        if made.observations is None
-        else "return OBSERVATIONS[state.number]",
+        "@observe@": f"return {shown}",
         "@helpers@": _PLACE_OF if helpers else "",
         "@step_names@": "State, View, initial, observe, step" if view else "State, initial, observe, step",
         "@pose@": _POSE.format(name=original.name) if rendered else "",

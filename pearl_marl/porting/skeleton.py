@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete
@@ -111,12 +112,14 @@ def _step_words(original: Original, seen: Seen) -> dict[str, str]:
 
 
 def _comment(text: str) -> list[str]:
-    words, lines = text.split(), ["    #"]
-    for word in words:
-        if len(lines[-1]) + len(word) >= WIDTH:
-            lines.append("    #  ")
-        lines[-1] += f" {word}"
-    return lines
+    return textwrap.wrap(
+        text,
+        WIDTH,
+        initial_indent="    # ",
+        subsequent_indent="    #   ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def _spec_words(original: Original, seen: Seen) -> dict[str, str]:
@@ -142,24 +145,16 @@ def _spec_words(original: Original, seen: Seen) -> dict[str, str]:
     imports = "from pearl_marl.layout import Real\n" * ("Real[" in reward)
     imports += f"from pearl_marl.spec import EnvSpec, {fields}Golden"
     drawn = original.registered and not original.options
+    tolerance = "1e-5" if seen.reals else "" if seen.whole else "0.001"
+    more = ["view=View"] * bool(view) + [f"tolerance={tolerance}"] * bool(tolerance)
     return spec_words(original, bool(view), drawn, imports) | {
-        "@step_names@": "REWARDS, State, View, initial, observe, step"
-        if view
-        else "REWARDS, State, initial, observe, step",
+        "@step_names@": f"REWARDS, State, {'View, ' * bool(view)}initial, observe, step",
         "@reward@": f"\n        {reward}" if reward else "",
         "@action@": f"\n        {action}," if action else "",
         "@spec_agents@": f"        agents={original.agents},\n" if original.agents > 1 else "",
         "@agents@": str(original.agents) if original.agents > 1 else "1",
-        "@imported_view@": "View, " if view else "",
-        "@port_more@": "".join(
-            f"    {part},\n"
-            for part, wanted in (
-                ("view=View", view),
-                ("tolerance=1e-5", seen.reals),
-                ("tolerance=0.001", not seen.reals and not seen.whole),
-            )
-            if wanted
-        ),
+        "@imported_view@": "View, " * bool(view),
+        "@port_more@": "".join(f"    {part},\n" for part in more),
     }
 
 
