@@ -206,20 +206,6 @@ def assert_same_trajectory(first: list[BatchStep], second: list[BatchStep]) -> N
         assert_same_step(a, b, f"step {t}")
 
 
-def assert_same_dicts(ours: Any, theirs: Any) -> None:
-    """Compare the five dicts of two steps: the same agents, with the same values."""
-    for mine, other in zip(ours, theirs, strict=True):
-        assert mine.keys() == other.keys()
-        for agent, value in mine.items():
-            assert _same(value, other[agent]), agent
-
-
-def _same(value: Any, other: Any) -> bool:
-    if isinstance(value, dict):  # an info, or an observation with its mask
-        return value.keys() == other.keys() and all(_same(value[key], other[key]) for key in value)
-    return np.array_equal(value, other)
-
-
 def rows(results: list[BatchStep], start: int, stop: int, agents: int = 1) -> list[BatchStep]:
     """Return the part of a trajectory that belongs to slots ``start .. stop - 1``, of so many agents each."""
     return [step.map(lambda array: array[start * agents : stop * agents]) for step in results]

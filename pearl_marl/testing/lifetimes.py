@@ -9,7 +9,7 @@ import pytest
 
 from pearl_marl.devices import Reference
 from pearl_marl.errors import ActionError, OrderError
-from pearl_marl.testing.case import SIZE, Case, assert_same_dicts, names_of, rows_of
+from pearl_marl.testing.case import SIZE, Case, names_of, rows_of
 
 
 class LifetimesContract:
@@ -68,7 +68,7 @@ class LifetimesContract:
             for a, b in zip(ours[:4], theirs[:4], strict=True):
                 np.testing.assert_array_equal(a.array, b.array)
             if not live.all() and t % 20 == 0:
-                assert_same_dicts(ours, theirs)
+                np.testing.assert_equal(ours, theirs)
             if env.num_agents < SIZE * case.agents // 2:
                 return
         if env.num_agents == SIZE * case.agents:

@@ -13,7 +13,6 @@ from pearl_marl.devices import Native
 from pearl_marl.testing.case import (
     SIZE,
     Case,
-    assert_same_dicts,
     assert_same_trajectory,
     by_mode,
     rows,
@@ -115,7 +114,7 @@ class SavedStatesContract:
         fresh.load_state(env.save_state())
         assert fresh.agents == env.agents
         for actions in case.actions(5, seed=1):
-            assert_same_dicts(env.step(actions), fresh.step(actions))
+            np.testing.assert_equal(env.step(actions), fresh.step(actions))
             if not env.agents:
                 break
 
