@@ -16,20 +16,15 @@ from pearl_marl.testing.case import SIZE, STEPS, Case, names_of, rows_of, shown_
 from pearl_marl.testing.golden_functions import contains_all
 
 
-def _just_beyond(space: Any) -> Iterator[tuple[Any, int, Any]]:
-    """Yield an action of a space, the place of an element of it, and what there is just not possible."""
+def _just_beyond(space: Any) -> Iterator[Any]:
+    """Yield actions with an element that is just not possible."""
     for end, sign in zip(bounds(space), (-1, 1), strict=True):
         for k, value in enumerate(end):
-            yield end, k, np.nextafter(value, sign * np.inf) if isinstance(space, Box) else value + sign
-            if isinstance(space, Box):
-                yield end, k, np.nan
-
-
-def _with(action: Any, k: int, value: Any) -> Any:
-    """Return an action with another element in a place."""
-    changed = action.copy()
-    changed[k] = value
-    return changed
+            is_real = isinstance(space, Box)
+            for other in (np.nextafter(value, sign * np.inf), np.nan) if is_real else (value + sign,):
+                changed = end.copy()
+                changed[k] = other
+                yield changed
 
 
 class SpacesContract:
@@ -198,7 +193,7 @@ class SpacesContract:
             beyond = [-1, most + 1]
         else:
             least, most = bounds(space)
-            beyond = [_with(*changed) for changed in _just_beyond(space)]
+            beyond = [*_just_beyond(space)]
         others: Any = ([most, least] * n)[: n - 1]
         device.step([*others, least])
         for outside in beyond:
