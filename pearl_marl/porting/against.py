@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import itertools
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -11,7 +13,7 @@ from pearl_marl.base.arrays import Array
 from pearl_marl.errors import ArgumentError
 from pearl_marl.porting import oracle
 from pearl_marl.porting.contents import elements, leaves_of
-from pearl_marl.porting.oracle import DifferenceError, Games, Ours, Outcome, Rules, one_by_one
+from pearl_marl.porting.oracle import DifferenceError, Games, Ours, Outcome, one_by_one
 from pearl_marl.porting.originals import Original
 from pearl_marl.porting.port import like
 from pearl_marl.spec import EnvSpec
@@ -92,19 +94,14 @@ def compare(spec: EnvSpec, original: Original, steps: int, seed: int) -> Compari
     def start() -> None:
         ours.start(oracle.uniform_draws(rng, 1, spec.reset_draws))
 
-    def our_step(given: list[Any]) -> tuple[float, bool]:
-        outcome = ours.step(np.array(given)[None], oracle.uniform_draws(rng, 1, spec.step_draws))
-        return float(outcome.rewards.sum()), outcome.over
-
-    def their_step(given: list[Any]) -> tuple[float, bool]:
-        outcome = original.step(given)
-        return sum(outcome.rewards), outcome.over
+    def step(given: list[Any]) -> Outcome:
+        return ours.step(np.array(given)[None], oracle.uniform_draws(rng, 1, spec.step_draws))
 
     def reset() -> None:
         original.reset(seed=int(rng.integers(1 << 31)))
 
-    mine, length = _returns(original, start, our_step, _limit(spec))
-    theirs, other_length = _returns(original, reset, their_step, _limit(spec))
+    mine, length = _returns(original, start, step, _limit(spec))
+    theirs, other_length = _returns(original, reset, original.step, _limit(spec))
     return ComparisonWithOriginal(how, taken, difference, errors, (mine, theirs), (length, other_length))
 
 
@@ -129,9 +126,7 @@ def _poser(spec: EnvSpec, original: Original) -> tuple[Pose | None, str]:
     def by_names(state: Any) -> None:
         for name in names:
             *groups, last = there[name].split(".")
-            owner = original.env
-            for group in groups:
-                owner = getattr(owner, group)
+            owner = functools.reduce(getattr, groups, original.env)
             setattr(owner, last, like(getattr(owner, last), getattr(state, name)))
 
     return by_names, "posed by attributes of the same names"
@@ -191,21 +186,17 @@ def _walk(
     spec: EnvSpec, original: Original, rng: np.random.Generator, steps: int
 ) -> Iterator[tuple[Any, Any]]:
     """Yield the words and the actions of steps of ours alone, by the habits of the original."""
-    habits: Iterator[list[Any]] = iter(())
-    left, episode = 0, -1
-
-    def act(ours: Ours, generator: np.random.Generator) -> Array:
-        nonlocal habits, left, episode
-        if left == 0:
-            episode += 1
-            habits, left = original.habits(generator, episode), _limit(spec)
-        left -= 1
-        return np.array(next(habits))[None]
-
-    silent = Rules(lambda state, actions, draws: Outcome())
-    for move in oracle.compare(spec, silent, 1, steps, actions=act, seed=int(rng.integers(1 << 31))):
-        left = 0 if move.ended[0] else left
-        yield [word[0] for word in move.before], move.actions[0]
+    ours, generator = Ours(spec, 1), np.random.default_rng(int(rng.integers(1 << 31)))
+    for episode in itertools.count():
+        ours.start(oracle.uniform_draws(generator, 1, spec.reset_draws))
+        for given in itertools.islice(original.habits(generator, episode), min(steps, _limit(spec))):
+            actions = np.array(given)[None]
+            yield [word[0] for word in ours.words], actions[0]
+            steps -= 1
+            if ours.step(actions, oracle.uniform_draws(generator, 1, spec.step_draws)).over:
+                break
+        if steps == 0:
+            return
 
 
 def _outcomes(
@@ -267,7 +258,7 @@ def _limit(spec: EnvSpec) -> int:
 
 
 def _returns(
-    original: Original, reset: Callable[[], Any], step: Callable[[Any], tuple[float, bool]], limit: int
+    original: Original, reset: Callable[[], Any], step: Callable[[Any], Outcome], limit: int
 ) -> tuple[tuple[float, float], float]:
     """Return mean and standard deviation of random episodes' returns, and their mean steps."""
     rng = np.random.default_rng(0)
@@ -276,8 +267,8 @@ def _returns(
         reset()
         total, taken, over = 0.0, 0, False
         while taken < limit and not over:
-            reward, over = step(original.actions(rng))
-            total, taken = total + reward, taken + 1
+            outcome = step(original.actions(rng))
+            total, taken, over = total + float(np.sum(outcome.rewards)), taken + 1, outcome.over
         returns.append(total)
         lengths.append(taken)
     return (float(np.mean(returns)), float(np.std(returns))), float(np.mean(lengths))
