@@ -88,11 +88,9 @@ class Port:
         other.reset(seed=12345)
         rng = np.random.default_rng(0)
         for where in self._reached(SEEDS // 4):
-            words = self._words(self.original)
-            pairs = zip(self._layout.fields, words, strict=True)
-            self.pose(other.env, self._layout.built(field.value(word) for field, word in pairs))
-            again = self._words(other)
-            wrong = self._difference(self._values(again), self._values(words))
+            values = self._values(self._words(self.original))
+            self.pose(other.env, self._layout.built(values))
+            wrong = self._difference(self._values(self._words(other)), values)
             if wrong:
                 return f"{where}: posed, the original has other values: {wrong}"
             actions = self.original.actions(rng)
@@ -112,7 +110,7 @@ class Port:
             self.original.reset(seed)
             theirs.append(self._values(self._words(self.original)))
         if len(set(theirs)) <= STARTS // 10 or len(set(ours)) <= STARTS // 10:
-            return self._often(Counter(ours), Counter(theirs), "episodes begin in")
+            return self._often(Counter(ours), Counter(theirs))
         for field, own, due in zip(self._layout.fields, np.array(ours).T, np.array(theirs).T, strict=True):
             spread = np.hypot(own.std(), due.std()) / np.sqrt(STARTS) + 1e-9
             if (
@@ -130,7 +128,8 @@ class Port:
         observe = self._python(self.observe)
         view = None if self.view is None else Layout(self.view, self._layout.fraction)
         for where in self._reached():
-            state = self._state()
+            words = self._words(self.original)
+            state = self._layout.built(words)  # as a step takes it: reals are rounded to their fields
             for agent in range(self.original.agents):
                 seen = self.original.observations[agent]
                 if seen is None:  # it has left
@@ -146,7 +145,7 @@ class Port:
                     return f"{where}: observe() returns {len(numbers)} numbers, and the space has {len(due)}"
                 for k, (own, right) in enumerate(zip(numbers, due, strict=True)):
                     if not self._near(own, right):
-                        what, told = f"element {k} of the observation", self._fields_of(state)
+                        what, told = f"element {k} of the observation", self._told(self._values(words), ".9g")
                         return f"{where}: {what} is {own:g}, the original's {right:g} (in {told})"
         return None
 
@@ -210,13 +209,10 @@ class Port:
         """Return what the words of a state stand for."""
         return tuple(field.value(word) for field, word in zip(self._layout.fields, words, strict=True))
 
-    def _state(self) -> Any:
-        """Return the state that the original is in, as a step takes it: reals are rounded to their fields."""
-        return self._layout.built(self._words(self.original))
-
-    def _fields_of(self, state: Any) -> str:
-        pairs = zip(self._layout.fields, self._flat(state), strict=True)
-        return ", ".join(f"{field.name} {field.value(word):.9g}" for field, word in pairs)
+    def _told(self, values: Sequence[float], form: str) -> str:
+        """Return the values of a state's fields with their names."""
+        pairs = zip(self._layout.fields, values, strict=True)
+        return ", ".join(f"{field.name} {value:{form}}" for field, value in pairs)
 
     def _reached(self, seeds: int = SEEDS, leaving: bool = False) -> Iterator[str]:
         """Say where the original is, at each state that it comes to; with ``leaving`` where it goes on."""
@@ -257,8 +253,8 @@ class Port:
                 return f"{name} is {a}, the original's {b}"
         return None
 
-    def _often(self, ours: Counter[Any], theirs: Counter[Any], what: str) -> str | None:
-        """Return which outcome happens often on one side, and never on the other or much less often."""
+    def _often(self, ours: Counter[Any], theirs: Counter[Any]) -> str | None:
+        """Return which start is often on one side, and never on the other or much less often."""
 
         def close(one: Sequence[Any], two: Sequence[Any]) -> bool:
             return self._difference(one, two) is None
@@ -266,10 +262,9 @@ class Port:
         unlike = first_unlike(ours, theirs, close if self.tolerance else None)
         if unlike is None:
             return None
-        outcome, own, due = unlike
-        pairs = zip(self._names[: len(outcome)], outcome, strict=True)
-        names = ", ".join(f"{name} {value}" for name, value in pairs)
-        return f"{what} ({names}) with a share of {own:.3f}, the original's is {due:.3f}"
+        values, own, due = unlike
+        start = self._told(values, "")
+        return f"episodes begin in ({start}) with a share of {own:.3f}, the original's is {due:.3f}"
 
 
 def _flat(outcome: Outcome) -> tuple[Any, ...]:
