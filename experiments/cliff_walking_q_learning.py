@@ -28,7 +28,7 @@ import pearl_marl
 from pearl_marl.base.files import replace_file
 from pearl_marl.evaluation.episodes import EpisodeStatistics
 from pearl_marl.experiments.calling import call
-from pearl_marl.rendering import import_pyplot, save_figure
+from pearl_marl.rendering import new_figure, save_figure
 
 ROWS, COLUMNS, START, GOAL = 4, 12, 36, 47
 OPTIMAL_RETURN = -13
@@ -180,10 +180,10 @@ def draw_policy(table: Table) -> Text:
 
 def draw_curve(curve: list[dict[str, Any]], n_agents: int, path: Path) -> None:
     """Write the learning curve as a picture."""
-    plt = import_pyplot()
+    figure = new_figure(7, 4)
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
+    axes = figure.subplots()
     steps = np.array([point["agent_steps"] for point in curve]) / 1e6
     for key, label in (
         ("exploring_return", "while exploring (mean of episodes that ended)"),
@@ -201,7 +201,6 @@ def draw_curve(curve: list[dict[str, Any]], n_agents: int, path: Path) -> None:
     axes.grid(alpha=0.3)
     axes.legend()
     save_figure(figure, path)
-    plt.close(figure)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple, cast
 from pearl_marl.base.files import replace_file
 from pearl_marl.errors import ArgumentError, PearlError
 from pearl_marl.evaluation.machine import machine
-from pearl_marl.rendering import import_pyplot, save_figure
+from pearl_marl.rendering import new_figure, save_figure
 
 from .section import KINDS, Progress, ReportSection, Row, having
 
@@ -77,7 +77,7 @@ def report(
             raise ArgumentError(f"there is no section {name!r}; {hint} are {', '.join(SECTIONS)}")
     names = [name for name in SECTIONS if name in only or not only]
     template = _template()
-    import_pyplot()
+    new_figure(1, 1)  # refuses to begin without matplotlib
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -210,7 +210,6 @@ def _entry(folder: Path, name: str, data: dict[str, Any] | None, problem: str | 
         picture.unlink(missing_ok=True)
     else:
         save_figure(figure, picture, dpi=160)
-        import_pyplot().close(figure)
     shown = {key: heading for key, heading in section.COLUMNS.items() if having(rows, key)}
     table = [[_cell(row.get(key)) for key in ("kind", *shown)] for row in rows]
     numeric = [any(cells[i].number for cells in table) for i in range(len(shown) + 1)]

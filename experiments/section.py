@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Protocol, TypeVar
 
-from pearl_marl.rendering import import_pyplot
+from pearl_marl.rendering import new_figure
 
 T = TypeVar("T")
 
@@ -118,7 +118,8 @@ def log_axis(axes: Any, which: str, values: Iterable[float], ticks: bool = False
 
 def subplots(lines: int, columns: int, height: float, **options: Any) -> Any:
     """Return a figure as wide as the page and so many inches high, and its panels."""
-    return import_pyplot().subplots(lines, columns, figsize=(WIDTH, height), layout="constrained", **options)
+    figure = new_figure(WIDTH, height)
+    return figure, figure.subplots(lines, columns, **options)
 
 
 def panels(names: Sequence[str], head: float, height: float, **options: Any) -> tuple[Any, dict[str, Any]]:

@@ -221,10 +221,11 @@ def new_figure(width: float, height: float) -> Any:
 
     Pyplot would keep it until it is closed, and takes as long to import as the rest of matplotlib.
     """
-    _matplotlib()
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
+    try:
+        from matplotlib import figure
+    except ImportError as error:
+        raise PearlError("drawing needs matplotlib: pip install '.[render]'") from error
+    return figure.Figure(figsize=(width, height), layout="constrained")
 
 
 def save_figure(figure: Any, path: Path, dpi: int = 120) -> None:
@@ -232,20 +233,3 @@ def save_figure(figure: Any, path: Path, dpi: int = 120) -> None:
     picture = io.BytesIO()
     figure.savefig(picture, format=path.suffix[1:] or None, dpi=dpi)
     replace_file(path, picture.getvalue())
-
-
-def _matplotlib() -> Any:
-    """Import matplotlib, or say how to install it."""
-    try:
-        import matplotlib
-    except ImportError as error:
-        raise PearlError("drawing needs matplotlib: pip install '.[render]'") from error
-    return matplotlib
-
-
-def import_pyplot() -> Any:
-    """Import matplotlib's pyplot for drawing into files, or say how to install it."""
-    _matplotlib().use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt
