@@ -145,7 +145,7 @@ class Port:
                     return f"{where}: observe() returns {len(numbers)} numbers, and the space has {len(due)}"
                 for k, (own, right) in enumerate(zip(numbers, due, strict=True)):
                     if not self._near(own, right):
-                        what, told = f"element {k} of the observation", self._told(self._values(words), ".9g")
+                        what, told = f"element {k} of the observation", self._by_name(self._values(words), ".9g")
                         return f"{where}: {what} is {own:g}, the original's {right:g} (in {told})"
         return None
 
@@ -209,7 +209,7 @@ class Port:
         """Return what the words of a state stand for."""
         return tuple(field.value(word) for field, word in zip(self._layout.fields, words, strict=True))
 
-    def _told(self, values: Sequence[float], form: str) -> str:
+    def _by_name(self, values: Sequence[float], form: str) -> str:
         """Return the values of a state's fields with their names."""
         pairs = zip(self._layout.fields, values, strict=True)
         return ", ".join(f"{field.name} {value:{form}}" for field, value in pairs)
@@ -263,7 +263,7 @@ class Port:
         if unlike is None:
             return None
         values, own, due = unlike
-        start = self._told(values, "")
+        start = self._by_name(values, "")
         return f"episodes begin in ({start}) with a share of {own:.3f}, the original's is {due:.3f}"
 
 
