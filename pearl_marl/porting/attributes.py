@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import enum
 import keyword
 import math
@@ -84,7 +85,7 @@ def observed(original: Original) -> Seen:
                 continue
             of_path = values.setdefault(path, {})
             if len(of_path) < 4096:
-                of_path.setdefault(frozen(value), _copied(value))
+                of_path.setdefault(frozen(value), copy.copy(value))
         rows.extend(elements(seen) for seen in original.observations if seen is not None)
 
     for seed in range(EPISODES):
@@ -128,10 +129,6 @@ def _depends_on_chance(original: Original, actions: list[Any]) -> bool:
         outcome = other.step(actions)
         results.append((frozen(other.env), tuple(outcome.rewards), tuple(outcome.terminated)))
     return len(set(results)) > 1
-
-
-def _copied(value: Any) -> Any:
-    return value.copy() if isinstance(value, (np.ndarray, list, dict, set)) else value
 
 
 def _attribute(path: str, values: list[Any], taken: set[str]) -> Attribute:

@@ -15,7 +15,7 @@ import numpy as np
 from gymnasium.spaces import Discrete
 
 from pearl_marl.errors import PearlError
-from pearl_marl.porting.contents import elements, frozen
+from pearl_marl.porting.contents import elements, frozen, replaced
 from pearl_marl.porting.originals import Original
 
 MOST_STATES = 1 << 16
@@ -363,7 +363,7 @@ class _Search:
                     f"after {SECONDS:.0f} seconds there were still new states ({self._found()})"
                 )
             there = here.copied()
-            there.draw_from(ways)
+            replaced(there.env, lambda old: ways)
             outcome = None
             if action is None:
                 there.reset()

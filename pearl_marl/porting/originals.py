@@ -133,10 +133,6 @@ class Original:
         other.env, other._ended = copy.deepcopy(self.env, kept(self.env)), list(self._ended)
         return other
 
-    def draw_from(self, generator: Any) -> None:
-        """Have every random generator in it replaced."""
-        replaced(self.env, lambda old: generator)
-
     def reseed(self, seed: int) -> None:
         """Have its next draws depend on a seed."""
         replaced(self.env, lambda old: reseeded(old, seed))

@@ -33,13 +33,6 @@ def of_skeleton(name: str, original: Original, seen: Seen, why: str | None) -> d
     return {**filled("environment", words), **filled("port", words)}
 
 
-def _kind(seen: Seen, low: float, high: float, real: bool) -> str:
-    """Return the annotation of a number that is no part of the state: a real, if the state has reals."""
-    if real and not seen.reals:
-        return f"Signed[{_bits(FRACTION, low, high)}, {FRACTION}]"
-    return kind_of(low, high, real)
-
-
 def _bits(fraction: int, *numbers: float) -> int:
     """Return the bits of signed words up to twice these, with so many behind the point."""
     most = max([1.0, *(abs(number) for number in numbers if np.isfinite(number))])
@@ -47,14 +40,19 @@ def _bits(fraction: int, *numbers: float) -> int:
 
 
 def _view_kind(original: Original, seen: Seen) -> str | None:
-    """Return how wide the elements of an observation are, where the space does not say so."""
+    """Return the annotation of an observation's elements, where the space does not say how wide they are.
+
+    They are reals only if the state has such.
+    """
     space = original.observation_space
     if not isinstance(space, Box) or (np.issubdtype(space.dtype, np.integer) and space.low.min() >= 0):
         return None
     low, high = float(seen.observed[0].min()), float(seen.observed[1].max())
     if space.is_bounded() and np.abs([space.low.min(), space.high.max()]).max() < 2**20:
         low, high = float(space.low.min()), float(space.high.max())
-    return _kind(seen, low, high, not seen.whole)
+    if not seen.whole and not seen.reals:
+        return f"Signed[{_bits(FRACTION, low, high)}, {FRACTION}]"
+    return kind_of(low, high, not seen.whole)
 
 
 def _step_words(original: Original, seen: Seen) -> dict[str, str]:

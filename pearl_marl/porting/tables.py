@@ -203,18 +203,14 @@ def _narrow(values: Any) -> np.ndarray[Any, Any]:
 
 def _assignment(name: str, kind: str, values: Sequence[Any]) -> str:
     """Return a tuple as ruff formats it, but as many numbers a line as fit."""
+    listed = ", ".join(map(repr, values))
+    lines = [f"    {listed},"]
     if values and isinstance(values[0], tuple):
         lines = [f"    {value!r}," for value in values]
-        lines = [part for line in lines for part in _wrapped(line)]
-        return "\n".join([f"{name}: {kind} = (", *lines, ")"])
-    whole = f"{name}: {kind} = ({', '.join(map(repr, values))}{',' if len(values) == 1 else ''})"
-    if len(whole) <= 110:
+    elif len(whole := f"{name}: {kind} = ({listed}{',' if len(values) == 1 else ''})") <= 110:
         return whole
-    return "\n".join([f"{name}: {kind} = (", *_wrapped(f"    {', '.join(map(repr, values))},"), ")"])
-
-
-def _wrapped(line: str) -> list[str]:
-    return textwrap.wrap(line, 110, subsequent_indent="    ")
+    wrapped = (part for line in lines for part in textwrap.wrap(line, 110, subsequent_indent="    "))
+    return "\n".join([f"{name}: {kind} = (", *wrapped, ")"])
 
 
 # ---- Held against the original ----
