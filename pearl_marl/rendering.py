@@ -113,7 +113,11 @@ class Video:
         if path.suffix.lower() != ".gif":
             raise ArgumentError(f"--video is {path}; it must be a file that ends in .gif")
         os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # pygame asks for a screen that is never shown
-        self._image, self._drawing = _import_pillow()
+        try:
+            from PIL import Image, ImageDraw
+        except ImportError as error:
+            raise PearlError("films need Pillow: pip install '.[render]'") from error
+        self._image, self._drawing = Image, ImageDraw
         self._labels = labels
         self._path, self._milliseconds = path, 1000 // spec.render_fps
         self._renderer = Renderer(spec, "rgb_array")
@@ -167,14 +171,6 @@ class Video:
             return tile.resize([larger * side for side in tile.size], self._image.Resampling.NEAREST)
         tile.thumbnail((TILE, TILE))
         return tile
-
-
-def _import_pillow() -> Any:
-    try:
-        from PIL import Image, ImageDraw
-    except ImportError as error:
-        raise PearlError("films need Pillow: pip install '.[render]'") from error
-    return Image, ImageDraw
 
 
 class HeatMap:
