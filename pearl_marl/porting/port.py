@@ -145,8 +145,11 @@ class Port:
                     return f"{where}: observe() returns {len(numbers)} numbers, and the space has {len(due)}"
                 for k, (own, right) in enumerate(zip(numbers, due, strict=True)):
                     if not self._near(own, right):
-                        what, told = f"element {k} of the observation", self._by_name(self._values(words), ".9g")
-                        return f"{where}: {what} is {own:g}, the original's {right:g} (in {told})"
+                        told = self._by_name(self._values(words), ".9g")
+                        return (
+                            f"{where}: element {k} of the observation is {own:g}, the original's {right:g} "
+                            f"(in {told})"
+                        )
         return None
 
     def wrong_step(self, spec: EnvSpec) -> str | None:
