@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import enum
 import keyword
 import math
 import re
@@ -142,14 +141,14 @@ def _attribute(path: str, values: list[Any], taken: set[str]) -> Attribute:
     kinds = sorted({type(value).__name__ for value in there})
     arrays = [np.asarray(v) for v in there if _is_regular(v)]
     none = "None, or " if len(there) < len(values) else ""
-    if len(arrays) < len(there) or not arrays or any(a.dtype.kind not in "biuf" for a in arrays):
+    if len(arrays) < len(there) or not arrays:
         return Attribute(path, name, None, False, f"{none}{_values_found(there, kinds)}")
     shapes = {array.shape for array in arrays}
-    low, high = min(a.min() for a in arrays if a.size), max(a.max() for a in arrays if a.size)
+    low, high = min(a.min() for a in arrays), max(a.max() for a in arrays)
     real = any(a.dtype.kind == "f" and not np.array_equal(a, np.rint(a)) for a in arrays)
     floats = any(a.dtype.kind == "f" for a in arrays)
     span = f"{low:.6g} to {high:.6g}"
-    if len(shapes) == 1 and len(next(iter(shapes), ())) + 1 > 1 and real and arrays[0].size <= 8:
+    if len(shapes) == 1 and arrays[0].ndim and real and arrays[0].size <= 8:
         all_rows = np.stack([a.ravel() for a in arrays])
         ends = zip(all_rows.min(0), all_rows.max(0), strict=True)
         span = ", ".join(f"{least:.4g} to {most:.4g}" for least, most in ends)
@@ -164,7 +163,7 @@ def _attribute(path: str, values: list[Any], taken: set[str]) -> Attribute:
     (shape,) = shapes
     if none or int(np.prod(shape)) > MOST_PARTS:
         what = f"{none}{span}" + (f", of shape {shape}" if shape else "")
-        return Attribute(path, name, None, real, f"{what}")
+        return Attribute(path, name, None, real, what)
     kind = kind_of(low, high, real)
     if shape:
         kind = f"Array[{kind}, {', '.join(map(str, shape))}]"
@@ -173,16 +172,11 @@ def _attribute(path: str, values: list[Any], taken: set[str]) -> Attribute:
 
 
 def _is_regular(value: Any) -> bool:
-    if isinstance(value, np.ndarray):
-        return value.size > 0
-    if isinstance(value, (list, tuple)):
-        try:
-            return np.asarray(value).dtype.kind in "biuf" and np.asarray(value).size > 0
-        except ValueError:
-            return False
-    return isinstance(value, (bool, int, float, np.generic)) and not (
-        isinstance(value, enum.Enum) and not isinstance(value, int)
-    )
+    try:
+        array = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        return False
+    return array.dtype.kind in "biuf" and array.size > 0
 
 
 def kind_of(low: Any, high: Any, real: bool) -> str:
