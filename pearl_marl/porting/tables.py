@@ -279,8 +279,6 @@ def _compared(ours: dict[Any, float], theirs: dict[Any, float]) -> str | None:
     for outcome in {**theirs, **ours}:
         got, due = ours.get(outcome, 0.0), theirs.get(outcome, 0.0)
         if abs(got - due) >= PROBABILITY_ERROR:
-            told = " and ".join(
-                map(str, (outcome[1:] and (f"to {outcome[0]}", *outcome[1:])) or (f"to {outcome[0]}",))
-            )
+            told = " and ".join(map(str, (f"to {outcome[0]}", *outcome[1:])))
             return f"{told} has probability {got:.10g}, the original's is {due:.10g}"
     return None
