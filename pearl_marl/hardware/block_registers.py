@@ -55,15 +55,15 @@ def absorb(module: dict[str, Any]) -> int:
     return _absorb_behind(module) + _absorb_before(module)
 
 
-def register_inputs(module: dict[str, Any], clock: str = "clk_i") -> None:
-    """Put a flip-flop behind every input of ``module`` but its clock."""
+def register_inputs(module: dict[str, Any]) -> None:
+    """Put a flip-flop behind every input of ``module`` but its clock, ``clk_i``."""
     cells, ports = module["cells"], module["ports"]
     nets = [bits for cell in cells.values() for bits in cell["connections"].values()]
     nets += [port["bits"] for port in ports.values()]
     free = itertools.count(1 + max(bit for bits in nets for bit in bits if isinstance(bit, int)))
-    (clock_bit,) = ports[clock]["bits"]
+    (clock,) = ports["clk_i"]["bits"]
     for name, port in ports.items():
-        if port["direction"] != "input" or name == clock:
+        if port["direction"] != "input" or name == "clk_i":
             continue
         inside, port["bits"] = port["bits"], [next(free) for _ in port["bits"]]
         for i, (bit, behind) in enumerate(zip(port["bits"], inside, strict=True)):
@@ -73,7 +73,7 @@ def register_inputs(module: dict[str, Any], clock: str = "clk_i") -> None:
                 "parameters": {"CEMUX": "1 ", "CLKMUX": "CLK", "GSR": "DISABLED"},
                 "attributes": {},
                 "port_directions": {"CLK": "input", "DI": "input", "Q": "output"},
-                "connections": {"CLK": [clock_bit], "DI": [bit], "Q": [behind]},
+                "connections": {"CLK": [clock], "DI": [bit], "Q": [behind]},
             }
 
 
