@@ -206,10 +206,10 @@ def synthesise(build: Build, family: Family = Family.XC7, *, fmax: bool = False)
     placement = PLACEMENTS[family] if fmax else None
     job = _job(build, family, placement)
     with locked(job.path.with_suffix(".lock")):
-        found = _read(job.path)
+        found = kept(job.path)
         if found is None:
-            found = _run(job, CELLS[family], placement)
-            keep(job.path, json.dumps(found).encode())
+            found = json.dumps(_run(job, CELLS[family], placement)).encode()
+            keep(job.path, found)
     return _usage(build.layout, found, job.tools)
 
 
@@ -219,7 +219,7 @@ def synthesised(build: Build) -> Usage | None:
         job = _job(build, Family.XC7, placement=None)
     except DeviceError:  # no tools
         return None
-    found = _read(job.path)
+    found = kept(job.path)
     return None if found is None else _usage(build.layout, found, job.tools)
 
 
@@ -245,14 +245,10 @@ def _job(build: Build, family: Family, placement: Placement | None) -> _Job:
     return _Job(script, files, tools, cache_folder("synthesis") / f"{build.spec.name}_{digest}.json")
 
 
-def _usage(layout: MemoryMap, found: dict[str, Any], tools: Mapping[str, str]) -> Usage:
+def _usage(layout: MemoryMap, kept_result: bytes, tools: Mapping[str, str]) -> Usage:
+    found = json.loads(kept_result)
     memories = tuple(DesignMemory(**memory) for memory in found.pop("memories"))
     return Usage(layout.n_envs, layout.pe_num, layout.data_wl, **found, memories=memories, tools=tools)
-
-
-def _read(path: Path) -> dict[str, Any] | None:
-    content = kept(path)
-    return None if content is None else dict(json.loads(content))
 
 
 def read_design(top: str, files: Iterable[str], parameters: Mapping[str, int] = {}) -> str:
