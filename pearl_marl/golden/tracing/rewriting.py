@@ -78,8 +78,8 @@ def _has_changed(node: ast.FunctionDef, code: types.CodeType) -> bool:
     # A test's `assert` is another statement where pytest runs it.
     if any(isinstance(inner, ast.Assert) for inner in ast.walk(node)):
         return False
-    now = _codes(code.co_filename, code.co_flags & __future__.annotations.compiler_flag)
-    found = now.get((code.co_qualname, code.co_firstlineno))
+    file, flags = code.co_filename, code.co_flags & __future__.annotations.compiler_flag
+    found = _codes(file, _text(file), flags).get((code.co_qualname, code.co_firstlineno))
     return found is not None and not _same(found, code)
 
 
@@ -92,27 +92,25 @@ def _same(one: Any, other: Any) -> bool:
     return len(one.co_consts) == len(other.co_consts) and all(map(_same, one.co_consts, other.co_consts))
 
 
-def _codes(file: str, flags: int) -> dict[tuple[str, int], types.CodeType]:
-    """Return all functions that a file makes now, by their qualified names and lines."""
-    text = "".join(linecache.getlines(file))
-    key = file, text, flags
-    if key not in _COMPILED:
-        found: dict[tuple[str, int], types.CodeType] = {}
-        left: list[Any] = [compile(text, file, "exec", flags, dont_inherit=True)]
-        while left:
-            code = left.pop()
-            found[code.co_qualname, code.co_firstlineno] = code
-            left += (constant for constant in code.co_consts if isinstance(constant, types.CodeType))
-        _COMPILED[key] = found
-    return _COMPILED[key]
+def _text(file: str) -> str:
+    return "".join(linecache.getlines(file))
 
 
-_COMPILED: dict[tuple[str, str, int], dict[tuple[str, int], types.CodeType]] = {}
+@functools.cache
+def _codes(file: str, text: str, flags: int) -> dict[tuple[str, int], types.CodeType]:
+    """Return all functions that a file of this text makes, by their qualified names and lines."""
+    found: dict[tuple[str, int], types.CodeType] = {}
+    left: list[Any] = [compile(text, file, "exec", flags, dont_inherit=True)]
+    while left:
+        code = left.pop()
+        found[code.co_qualname, code.co_firstlineno] = code
+        left += (constant for constant in code.co_consts if isinstance(constant, types.CodeType))
+    return found
 
 
 def _source_of(code: types.CodeType) -> ast.FunctionDef | ast.Lambda | None:
     """Return the definition that code was compiled from."""
-    found = [node for node in _definitions(code.co_filename) if _matches(node, code)]
+    found = [node for node in _definitions(_text(code.co_filename)) if _matches(node, code)]
     return found[0] if len(found) == 1 else None
 
 
@@ -127,20 +125,14 @@ def _matches(node: ast.FunctionDef | ast.Lambda, code: types.CodeType) -> bool:
     return node.name == code.co_name and first == code.co_firstlineno
 
 
-_PARSED: dict[tuple[str, str], list[ast.FunctionDef | ast.Lambda]] = {}
-
-
-def _definitions(file: str) -> list[ast.FunctionDef | ast.Lambda]:
-    """Return all functions that a file defines; none where it cannot be read."""
-    text = "".join(linecache.getlines(file))
-    if (file, text) not in _PARSED:
-        try:
-            tree = ast.parse(text)
-        except SyntaxError:
-            return []
-        kinds = (ast.FunctionDef, ast.Lambda)
-        _PARSED[file, text] = [node for node in ast.walk(tree) if isinstance(node, kinds)]
-    return _PARSED[file, text]
+@functools.cache
+def _definitions(text: str) -> list[ast.FunctionDef | ast.Lambda]:
+    """Return all functions that a text defines; none where it cannot be read."""
+    try:
+        tree = ast.parse(text)
+    except SyntaxError:
+        return []
+    return [node for node in ast.walk(tree) if isinstance(node, (ast.FunctionDef, ast.Lambda))]
 
 
 def _named(node: ast.Lambda) -> ast.FunctionDef:
