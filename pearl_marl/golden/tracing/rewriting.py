@@ -18,9 +18,10 @@ import functools
 import inspect
 import linecache
 import pickle
+import textwrap
 import threading
 import types
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NoReturn, TypeVar
 
 from pearl_marl.base.source_lines import source_line
@@ -138,10 +139,7 @@ def _definitions(text: str) -> list[ast.FunctionDef | ast.Lambda]:
 def _named(node: ast.Lambda) -> ast.FunctionDef:
     """Return a lambda as a function of a statement."""
     body = ast.copy_location(ast.Return(node.body), node.body)
-    new = ast.FunctionDef("_lambda", node.args, [body], [], None, None)
-    if "type_params" in ast.FunctionDef._fields:
-        new.type_params = []  # type: ignore[attr-defined]
-    return ast.copy_location(new, node)
+    return ast.copy_location(ast.FunctionDef("_lambda", node.args, [body], [], None, None), node)
 
 
 def _compiled(node: ast.FunctionDef, code: types.CodeType) -> types.CodeType:
@@ -206,11 +204,11 @@ def _leaves(nodes: Sequence[ast.AST]) -> bool:
     return any(isinstance(node, (ast.Return, ast.Break, ast.Continue)) for node in _inside(nodes))
 
 
-class _Function:
-    """Rewrites one function."""
+class _Function(ast.NodeTransformer):
+    """Rewrites one function: its statements, and in expressions what Python decides by a value."""
 
     def __init__(self, file: str) -> None:
-        self.file, self.count, self.loops = file, 0, list[tuple[str, list[str]]]()
+        self.file, self.count, self.loops = file, 0, list[tuple[str, str]]()
         self.unbound: list[str] = []
         """Variables that some path may leave without a value."""
 
@@ -223,17 +221,12 @@ class _Function:
         self.unbound = [n for n in _stored(joined) if n not in own | elsewhere]
         for argument in _arguments(node.args):
             argument.annotation = None  # for readers, and may name what is known to a type checker only
-        new = ast.FunctionDef(node.name, node.args, [], [], None, None)
-        if "type_params" in ast.FunctionDef._fields:
-            new.type_params = []  # type: ignore[attr-defined]
-        statements = [_statement(f"{_FRAME} = {RUNTIME}.frame()", node)]
-        statements += [_statement(f"{n} = {RUNTIME}.unbound({n!r})", node) for n in self.unbound]
-        expressions = _Expressions(self)
-        new.args = expressions.visit(new.args)
-        statements += self.block(body, expressions)
-        statements.append(_statement(f"return {_FRAME}.result()", body[-1]))
-        new.body = statements
-        return ast.copy_location(new, node)
+        begin = [f"{_FRAME} = {RUNTIME}.frame()", *(f"{n} = {RUNTIME}.unbound({n!r})" for n in self.unbound)]
+        end = _filled(f"return {_FRAME}.result()", body[-1])
+        node.args, node.returns = self.visit(node.args), None
+        node.body = [*_filled("\n".join(begin), node), *self.block(body), *end]
+        node.type_params = []  # type: ignore[attr-defined]
+        return node
 
     def name(self, kind: str) -> str:
         """Return a new name."""
@@ -244,62 +237,50 @@ class _Function:
         """Raise ArgumentError for a line."""
         raise Refusal(f"{source_line(self.file, getattr(node, 'lineno', 1))}: {why}")
 
-    def block(self, statements: Sequence[ast.stmt], expressions: _Expressions) -> list[ast.stmt]:
+    def block(self, statements: Sequence[ast.stmt]) -> list[ast.stmt]:
         """Return statements of which those after a possible exit run only if something is left to run."""
         result: list[ast.stmt] = []
         for k, statement in enumerate(statements):
-            result += self.statement(statement, expressions)
+            result += self.statement(statement)
             if isinstance(statement, (ast.Return, ast.Break, ast.Continue)):
                 break
             rest = statements[k + 1 :]
             if rest and isinstance(statement, (ast.If, ast.For, ast.While)) and _leaves([statement]):
-                guard = _statement(f"if {_FRAME}.lives(): pass", statement)
-                assert isinstance(guard, ast.If)
-                guard.body = self.block(rest, expressions)
-                return [*result, guard]
+                return [*result, *_filled(_IF_ALIVE, statement, rest=self.block(rest))]
         return result
 
-    def statement(self, node: ast.stmt, expressions: _Expressions) -> list[ast.stmt]:
+    def statement(self, node: ast.stmt) -> list[ast.stmt]:
         """Return the statements that take the place of one."""
         match node:
             case ast.Return():
-                value = expressions.visit(node.value) if node.value else ast.Constant(None)
-                return [_call(f"{_FRAME}.returns", [value], node)]
+                value = self.visit(node.value or ast.Constant(None))
+                return _filled(f"{_FRAME}.returns(_.value)", node, value=value)
             case ast.If():
-                return self.branch(node, expressions)
-            case ast.While():
-                return self.while_(node, expressions)
-            case ast.For():
-                return self.for_(node, expressions)
+                return self.branch(node)
+            case ast.While() | ast.For():
+                return self.loop(node)
             case ast.Break() | ast.Continue():
                 loop, names = self.loops[-1]
                 verb = "breaks" if isinstance(node, ast.Break) else "continues"
-                return [_call(f"{loop}.{verb}", [_tuple(names)], node)]
-            case ast.FunctionDef():
-                inner = _Function(self.file).of(node)
-                inner.decorator_list = [expressions.visit(d) for d in node.decorator_list]
-                return [inner]
+                return _filled(f"{loop}.{verb}({names})", node)
             case ast.Assign() if any(map(_has_parts, node.targets)):
-                return self.stores(node, expressions)
-            case ast.AugAssign() if isinstance(node.target, (ast.Subscript, ast.Attribute)):
-                return self.changes(node, expressions)
+                return self.stores(node)
+            case ast.AugAssign(target=ast.Subscript() | ast.Attribute()):
+                return self.changes(node)
             case ast.AugAssign(target=ast.Name(id=name)):
                 # In place, a list would grow.
-                return [
-                    _call(f"{RUNTIME}.growing", [ast.Name(name, ast.Load())], node),
-                    expressions.visit(node),
-                ]
+                return [*_filled(f"{RUNTIME}.growing({name})", node), self.visit(node)]
             case ast.Delete():
-                return self.removal(node, expressions)
+                return self.removal(node)
             case ast.AnnAssign():
                 if node.value is None:
-                    return [_statement("pass", node)]
+                    return _filled("pass", node)
                 plain = ast.copy_location(ast.Assign([node.target], node.value), node)
-                return self.statement(plain, expressions)
+                return self.statement(plain)
             case ast.Assert():
-                return [_call(f"{RUNTIME}.asserts", [expressions.visit(node.test)], node)]
+                return _filled(f"{RUNTIME}.asserts(_.test)", node, test=self.visit(node.test))
             case ast.Raise():
-                return [_call(f"{RUNTIME}.raises", [], node), expressions.visit(node)]
+                return [*_filled(f"{RUNTIME}.raises()", node), self.visit(node)]
             case ast.Nonlocal() | ast.Global():
                 self.refuse(
                     node, f"`{node.names[0]}` of a function around it is assigned to; return it instead"
@@ -313,148 +294,117 @@ class _Function:
                     type(node).__name__.lower().removeprefix("async").removesuffix("functiondef") or "async"
                 )
                 self.refuse(node, f"golden functions have no `{word}`")
-        new = expressions.visit(node)
-        assert isinstance(new, ast.stmt)
-        return [new]
+        return [self.visit(node)]
 
-    def removal(self, node: ast.Delete, expressions: _Expressions) -> list[ast.stmt]:
+    def removal(self, node: ast.Delete) -> list[ast.stmt]:
         """Return the removal of elements, of lists that may become shorter."""
-        lists = []
+        result = []
         for target in node.targets:
             if not isinstance(target, ast.Subscript):
                 self.refuse(node, "golden functions have no `del` of variables")
-            lists.append(_call(f"{RUNTIME}.growing", [expressions.visit(target.value)], node))
-        return [*lists, expressions.visit(node)]
+            result += _filled(f"{RUNTIME}.growing(_.list)", node, list=self.visit(target.value))
+        return [*result, self.visit(node)]
 
-    def branch(self, node: ast.If, expressions: _Expressions) -> list[ast.stmt]:
+    def branch(self, node: ast.If) -> list[ast.stmt]:
         """Return an ``if``: each side runs if it may be taken, and then they are joined."""
-        fork, names = self.name("fork"), _stored([*node.body, *node.orelse])
-        test = expressions.visit(node.test)
-        result = [_assign(fork, f"{_FRAME}.fork", [test, _tuple(names)], node)]
-        for k, body in enumerate((node.body, node.orelse)):
-            side = _statement(f"if {fork}.takes({k}): pass", node)
-            assert isinstance(side, ast.If)
-            side.body = [
-                *([_unpack(names, f"{fork}.before", [], node)] if k and names else []),
-                *self.block(body, expressions),
-                _call(f"{fork}.leaves", [_tuple(names)], node),
-            ]
-            result.append(side)
-        return [*result, _unpack(names, f"{fork}.joined", [], node)]
+        fork, names = self.name("fork"), _tuple(_stored([*node.body, *node.orelse]))
+        text = f"""
+            {fork} = {_FRAME}.fork(_.test, {names})
+            if {fork}.takes(0):
+                _.body
+                {fork}.leaves({names})
+            if {fork}.takes(1):
+                {names} = {fork}.before()
+                _.orelse
+                {fork}.leaves({names})
+            {names} = {fork}.joined()
+        """
+        test, body, orelse = self.visit(node.test), self.block(node.body), self.block(node.orelse)
+        return _filled(text, node, test=test, body=body, orelse=orelse)
 
-    def while_(self, node: ast.While, expressions: _Expressions) -> list[ast.stmt]:
-        """Return a ``while``, which goes round until no word can want it."""
-        loop, names = self.name("loop"), _stored([node])
-        again = _statement(f"while {_FRAME}.lives(): pass", node)
-        assert isinstance(again, ast.While)
-        # A round may leave no path on which there is a test.
-        wanted = _expression(f"{loop}.again", [expressions.visit(node.test), _tuple(names)], node)
-        again.test = ast.copy_location(ast.BoolOp(ast.And(), [again.test, wanted]), node)
-        again.body = self.round(node.body, loop, names, expressions, node)
-        return self.looped(node, loop, names, again, expressions)
-
-    def for_(self, node: ast.For, expressions: _Expressions) -> list[ast.stmt]:
-        """Return a ``for``."""
-        if _has_parts(node.target):
-            self.refuse(
-                node, "a `for` counts in an element or an attribute; count in a variable, and assign it"
-            )
-        loop, names = self.name("loop"), _stored([node])
-        over = _statement(f"for _ in {RUNTIME}.items(0): pass", node)
-        assert isinstance(over, ast.For)
-        assert isinstance(over.iter, ast.Call)
-        over.iter.args = [expressions.visit(node.iter)]
-        over.target = expressions.visit(node.target)
-        over.body = self.round(node.body, loop, names, expressions, node)
-        if _leaves(node.body):
-            over.body.insert(0, _statement(f"if not {_FRAME}.lives(): break", node))
-        return self.looped(node, loop, names, over, expressions)
-
-    def round(
-        self, body: Sequence[ast.stmt], loop: str, names: list[str], expressions: _Expressions, node: ast.stmt
-    ) -> list[ast.stmt]:
+    def loop(self, node: ast.For | ast.While) -> list[ast.stmt]:
+        """Return a ``for``, or a ``while``, which goes round until no word can want it."""
+        loop, names = self.name("loop"), _tuple(_stored([node]))
+        holes: dict[str, Any] = {"alive": []}
+        if isinstance(node, ast.While):
+            # A round may leave no path on which there is a test.
+            head = f"while {_FRAME}.lives() and {loop}.again(_.test, {names})"
+            holes["test"] = self.visit(node.test)
+        else:
+            if _has_parts(node.target):
+                self.refuse(
+                    node, "a `for` counts in an element or an attribute; count in a variable, and assign it"
+                )
+            head = f"for _.target in {RUNTIME}.items(_.values)"
+            holes |= {"values": self.visit(node.iter), "target": self.visit(node.target)}
+            if _leaves(node.body):
+                holes["alive"] = _filled(f"if not {_FRAME}.lives(): break", node)
         self.loops.append((loop, names))
-        result = self.block(body, expressions)
+        holes["body"] = self.block(node.body)
         self.loops.pop()
         # Only `continue` leaves something to join.
-        if any(isinstance(n, ast.Continue) for n in _inside(body)):
-            result.append(_unpack(names, f"{loop}.next_round", [_tuple(names)], node))
-        return result
-
-    def looped(
-        self, node: ast.For | ast.While, loop: str, names: list[str], new: ast.stmt, expressions: _Expressions
-    ) -> list[ast.stmt]:
-        result = [_assign(loop, f"{_FRAME}.loop", [], node), new]
+        if any(isinstance(inner, ast.Continue) for inner in _inside(node.body)):
+            holes["body"] += _filled(f"{names} = {loop}.next_round({names})", node)
         if node.orelse:
-            result.append(_unpack(names, f"{loop}.finished", [_tuple(names)], node))
-            guard = _statement(f"if {_FRAME}.lives(): pass", node)
-            assert isinstance(guard, ast.If)
-            guard.body = self.block(node.orelse, expressions)
-            result.append(guard)
-        result.append(_unpack(names, f"{loop}.joined", [_tuple(names)], node))
-        return result
+            finished = f"{names} = {loop}.finished({names})\n{_IF_ALIVE}"
+            holes["orelse"] = _filled(finished, node, rest=self.block(node.orelse))
+        text = f"""
+            {loop} = {_FRAME}.loop()
+            {head}:
+                _.alive
+                _.body
+            {"_.orelse" if node.orelse else ""}
+            {names} = {loop}.joined({names})
+        """
+        return _filled(text, node, **holes)
 
-    def stores(self, node: ast.Assign, expressions: _Expressions) -> list[ast.stmt]:
+    def stores(self, node: ast.Assign) -> list[ast.stmt]:
         """Return assignments to elements and attributes as calls."""
         value = self.name("value")
-        result = [_assign(value, None, [expressions.visit(node.value)], node)]
+        result = _filled(f"{value} = _.value", node, value=self.visit(node.value))
         for target in node.targets:
-            result += self.store(target, ast.Name(value, ast.Load()), expressions)
+            result += self.store(target, value)
         return result
 
-    def store(self, target: ast.expr, value: ast.expr, expressions: _Expressions) -> list[ast.stmt]:
+    def store(self, target: ast.expr, value: str) -> list[ast.stmt]:
+        """Return the assignment of a variable."""
         match target:
             case ast.Subscript():
-                args = [expressions.visit(target.value), expressions.visit(target.slice), value]
-                return [_call(f"{RUNTIME}.put", args, target)]
+                of, key = self.visit(target.value), self.visit(target.slice)
+                return _filled(f"{RUNTIME}.put(_.of, _.key, {value})", target, of=of, key=key)
             case ast.Attribute():
-                args = [expressions.visit(target.value), ast.Constant(target.attr), value]
-                return [_call(f"{RUNTIME}.set_attribute", args, target)]
+                text = f"{RUNTIME}.set_attribute(_.of, {target.attr!r}, {value})"
+                return _filled(text, target, of=self.visit(target.value))
             case ast.Tuple() | ast.List() if _has_parts(target):
                 names = [self.name("part") for _ in target.elts]
-                parts = _tuple(names, ast.Store())
-                result: list[ast.stmt] = [ast.copy_location(ast.Assign([parts], value), target)]
+                result = _filled(f"{_tuple(names)} = {value}", target)
                 for part, name in zip(target.elts, names, strict=True):
                     if isinstance(part, ast.Starred):
                         self.refuse(part, "`*` beside elements; assign the parts one by one")
-                    result += self.store(part, ast.Name(name, ast.Load()), expressions)
+                    result += self.store(part, name)
                 return result
-        return [ast.copy_location(ast.Assign([target], value), target)]
+        return _filled(f"_.target = {value}", target, target=target)
 
-    def changes(self, node: ast.AugAssign, expressions: _Expressions) -> list[ast.stmt]:
+    def changes(self, node: ast.AugAssign) -> list[ast.stmt]:
         """Return ``a[k] += b``, in which ``a`` and ``k`` are evaluated once."""
-        target, whole, part = node.target, self.name("of"), self.name("at")
+        target, of, key, old = node.target, self.name("of"), self.name("key"), self.name("old")
         assert isinstance(target, (ast.Subscript, ast.Attribute))
-        is_item = isinstance(target, ast.Subscript)
-        key = (
-            expressions.visit(target.slice)
-            if isinstance(target, ast.Subscript)
-            else ast.Constant(target.attr)
-        )
-        loads = [ast.Name(whole, ast.Load()), ast.Name(part, ast.Load())]
-        getter = f"{RUNTIME}.item" if is_item else "getattr"
+        if isinstance(target, ast.Subscript):
+            getter, setter, place = f"{RUNTIME}.item", "put", self.visit(target.slice)
+        else:
+            getter, setter, place = "getattr", "set_attribute", ast.Constant(target.attr)
         # By a name of its own, so that a list grows in place.
-        old = self.name("old")
-        changed = ast.AugAssign(ast.Name(old, ast.Store()), node.op, expressions.visit(node.value))
-        return [
-            _assign(whole, None, [expressions.visit(target.value)], node),
-            _assign(part, None, [key], node),
-            _assign(old, getter, loads, node),
-            _call(f"{RUNTIME}.growing", [ast.Name(old, ast.Load())], node),
-            ast.copy_location(changed, node),
-            _call(
-                f"{RUNTIME}.{'put' if is_item else 'set_attribute'}",
-                [*loads, ast.Name(old, ast.Load())],
-                node,
-            ),
-        ]
-
-
-class _Expressions(ast.NodeTransformer):
-    """Rewrites expressions: what Python decides by a value."""
-
-    def __init__(self, function: _Function) -> None:
-        self.function = function
+        changed = ast.AugAssign(ast.Name(old, ast.Store()), node.op, self.visit(node.value))
+        text = f"""
+            {of} = _.of
+            {key} = _.place
+            {old} = {getter}({of}, {key})
+            {RUNTIME}.growing({old})
+            _.changed
+            {RUNTIME}.{setter}({of}, {key}, {old})
+        """
+        whole = self.visit(target.value)
+        return _filled(text, node, of=whole, place=place, changed=[ast.copy_location(changed, node)])
 
     def visit(self, node: ast.AST) -> Any:
         """Return what takes the place of an expression."""
@@ -464,22 +414,24 @@ class _Expressions(ast.NodeTransformer):
             case ast.UnaryOp(op=ast.Not()):
                 return _expression(f"{RUNTIME}.negation", [self.visit(node.operand)], node)
             case ast.IfExp():
-                return self.conditional(node)
+                sides = [self.later(self.visit(node.body)), self.later(self.visit(node.orelse))]
+                return _expression(f"{RUNTIME}.either", [self.visit(node.test), *sides], node)
             case ast.Compare():
                 return self.comparison(node)
-            case ast.Subscript():
-                return self.element(node)
+            case ast.Subscript(ctx=ast.Load()):
+                return _expression(f"{RUNTIME}.item", [self.visit(node.value), self.visit(node.slice)], node)
             case ast.List(ctx=ast.Load()) | ast.ListComp():
                 self.generic_visit(node)
                 return _expression(f"{RUNTIME}.listed", [node], node)
             case ast.Call():
                 return self.call(node)
             case ast.FunctionDef():
-                return _Function(self.function.file).of(node)
+                node.decorator_list = list(map(self.visit, node.decorator_list))
+                return _Function(self.file).of(node)
             case ast.comprehension():
                 node.ifs = [_expression(f"{RUNTIME}.keeps", [test], test) for test in node.ifs]
             case ast.Yield() | ast.YieldFrom() | ast.Await():
-                self.function.refuse(node, "golden functions are no generators; return a list")
+                self.refuse(node, "golden functions are no generators; return a list")
         return self.generic_visit(node)
 
     def bool_op(self, node: ast.BoolOp) -> Any:
@@ -491,11 +443,6 @@ class _Expressions(ast.NodeTransformer):
             result = _expression(f"{RUNTIME}.{verb}", [result, self.later(value)], node)
         return result
 
-    def conditional(self, node: ast.IfExp) -> Any:
-        """Return ``a if test else b`` as a call."""
-        sides = [self.later(self.visit(node.body)), self.later(self.visit(node.orelse))]
-        return _expression(f"{RUNTIME}.either", [self.visit(node.test), *sides], node)
-
     def comparison(self, node: ast.Compare) -> Any:
         """Return chains as calls, and what compares sequences."""
         values = [self.visit(v) for v in (node.left, *node.comparators)]
@@ -505,13 +452,6 @@ class _Expressions(ast.NodeTransformer):
         each = ast.Tuple([ast.Constant(name) for name in names], ast.Load())
         result = [each, values[0], *map(self.later, values[1:])]
         return _expression(f"{RUNTIME}.chain", result, node)
-
-    def element(self, node: ast.Subscript) -> Any:
-        """Return an element by a call; a word may choose it."""
-        value, index = self.visit(node.value), self.visit(node.slice)
-        if isinstance(node.ctx, ast.Load):
-            return _expression(f"{RUNTIME}.item", [value, index], node)
-        return ast.copy_location(ast.Subscript(value, index, node.ctx), node)
 
     def call(self, node: ast.Call) -> Any:
         """Count what fits, in place of leaving out what does not: that is no word's to decide."""
@@ -543,7 +483,7 @@ class _Expressions(ast.NodeTransformer):
 
     def argument(self, node: ast.expr) -> Any:
         """Return an argument of a call; a variable has to have a value where the call is."""
-        if isinstance(node, ast.Name) and node.id in self.function.unbound:
+        if isinstance(node, ast.Name) and node.id in self.unbound:
             return _expression(f"{RUNTIME}.defined", [node], node)
         return self.visit(node)
 
@@ -551,7 +491,7 @@ class _Expressions(ast.NodeTransformer):
         """Return a function of no arguments that evaluates an expression."""
         for inner in ast.walk(node):
             if isinstance(inner, ast.NamedExpr):
-                self.function.refuse(
+                self.refuse(
                     inner, f"`{inner.target.id} :=` in what is not always evaluated; assign it before"
                 )
         new = _placed(ast.parse("lambda: 0", mode="eval").body, node)
@@ -560,6 +500,7 @@ class _Expressions(ast.NodeTransformer):
         return new
 
 
+_IF_ALIVE = f"if {_FRAME}.lives():\n    _.rest"
 _REDUCTIONS = "any", "all", "sum"
 _GROWING = {
     *("append", "extend", "insert", "pop", "remove", "clear", "sort", "reverse"),
@@ -635,8 +576,26 @@ def _placed(new: _Node, node: ast.AST) -> _Node:
     return new
 
 
-def _statement(text: str, node: ast.AST) -> ast.stmt:
-    return _placed(ast.parse(text).body[0], node)
+class _Filling(ast.NodeTransformer):
+    """Puts something where a text has ``_.name``: an expression or, where that is a statement, several."""
+
+    def __init__(self, holes: Mapping[str, Any]) -> None:
+        self.holes = holes
+
+    def visit(self, node: ast.AST) -> Any:
+        match node:
+            case ast.Attribute(value=ast.Name(id="_"), attr=name):
+                return self.holes[name]
+            case ast.Expr(value=ast.Attribute(value=ast.Name(id="_"), attr=name)):
+                return self.holes[name]
+        return self.generic_visit(node)
+
+
+def _filled(text: str, node: ast.AST, **holes: ast.expr | list[ast.stmt]) -> list[ast.stmt]:
+    """Return the statements of a text, as if they stood where a node begins, and what its holes hold."""
+    module = _placed(ast.parse(textwrap.dedent(text)), node)
+    body: list[ast.stmt] = _Filling(holes).visit(module).body
+    return body
 
 
 def _expression(function: str, args: Sequence[ast.expr], node: ast.AST) -> ast.expr:
@@ -647,23 +606,6 @@ def _expression(function: str, args: Sequence[ast.expr], node: ast.AST) -> ast.e
     return new
 
 
-def _call(function: str, args: Sequence[ast.expr], node: ast.AST) -> ast.stmt:
-    return ast.copy_location(ast.Expr(_expression(function, args, node)), node)
-
-
-def _assign(name: str, function: str | None, args: Sequence[ast.expr], node: ast.AST) -> ast.stmt:
-    value = args[0] if function is None else _expression(function, args, node)
-    return ast.copy_location(ast.Assign([ast.Name(name, ast.Store())], value), node)
-
-
-def _unpack(names: Sequence[str], function: str, args: Sequence[ast.expr], node: ast.AST) -> ast.stmt:
-    """Return the assignment of what a call returns to names; the call alone where there are none."""
-    if not names:
-        return _call(function, args, node)
-    target = _tuple(names, ast.Store())
-    return ast.copy_location(ast.Assign([target], _expression(function, args, node)), node)
-
-
-def _tuple(names: Sequence[str], context: ast.expr_context | None = None) -> ast.Tuple:
-    context = context or ast.Load()
-    return ast.Tuple([ast.Name(name, context) for name in names], context)
+def _tuple(names: Sequence[str]) -> str:
+    """Return the text of a tuple of variables."""
+    return f"({''.join(f'{name}, ' for name in names)})"
