@@ -22,12 +22,10 @@ class Twins:
     def __init__(self, graph: Graph) -> None:
         self.graph = graph
         self._numbers = itertools.count()
-        self._made: dict[int, tuple[int, Any]] = {}
-        """By what Python calls its ``id``: the number of what an author has made, and what keeps it known."""
+        self._where: dict[int, dict[int, Node]] = {}
+        """By ``id``: the numbers of what a value may be, of all that an author has made, and where."""
         self._places: dict[int, dict[int, tuple[Callable[[], Any], Node]]] = {}
         """By such a number: who may be it, and where."""
-        self._chosen: dict[int, dict[int, Node]] = {}
-        """By ``id``: of what a word has chosen, the numbers of what it may be, and where."""
 
     def chosen(self, new: Any, options: Iterable[tuple[Node, Any]]) -> None:
         """Note that something new is each of several where a flag is set, and always one of them."""
@@ -36,18 +34,19 @@ class Twins:
             for number, own in self._which(option).items():
                 here = self.graph.and_(flag, own)
                 where[number] = self.graph.or_(where[number], here) if number in where else here
-        key = id(new)
-        known = _known(new, lambda: self._forget(key))
-        self._chosen[key] = where
+        self._note(new, where)
+
+    def _note(self, value: Any, where: dict[int, Node]) -> None:
+        key = id(value)
+        known = _known(value, lambda: self._forget(key))
+        self._where[key] = where
         for number, flag in where.items():
-            self._places[number][key] = known, flag
+            self._places.setdefault(number, {})[key] = known, flag
 
     def others(self, of: Any) -> Iterator[tuple[Any, Node]]:
         """Yield who else may be the same, and where it is."""
-        if id(of) not in self._chosen and id(of) not in self._made:
-            return
         same: dict[int, tuple[Callable[[], Any], Node]] = {}
-        for number, own in self._which(of).items():
+        for number, own in self._where.get(id(of), {}).items():
             # While conditions are made, some may be forgotten.
             for key, (known, flag) in list(self._places[number].items()):
                 if key != id(of):
@@ -60,22 +59,13 @@ class Twins:
 
     def _which(self, of: Any) -> dict[int, Node]:
         """Return what something may be, and where."""
-        key, always = id(of), self.graph.constant(1)
-        if key in self._chosen:
-            return self._chosen[key]
-        if key not in self._made:
-            number = next(self._numbers)
-            known = _known(of, lambda: self._forget(key))
-            self._made[key] = number, known
-            self._places[number] = {key: (known, always)}
-        return {self._made[key][0]: always}
+        if id(of) not in self._where:
+            self._note(of, {next(self._numbers): self.graph.constant(1)})
+        return self._where[id(of)]
 
     def _forget(self, key: int) -> None:
-        """Forget values that no longer exist."""
-        for number in self._chosen.pop(key, {}):
-            self._places[number].pop(key, None)
-        if key in self._made:
-            number, _ = self._made.pop(key)
+        """Forget a value that no longer exists."""
+        for number in self._where.pop(key, {}):
             self._places[number].pop(key, None)
 
 
