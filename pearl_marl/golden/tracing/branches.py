@@ -11,46 +11,74 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden.tracing.graph import Graph
 from pearl_marl.golden.tracing.joining import check_defined, joined, merged, variables
 from pearl_marl.golden.tracing.nodes import Node
 from pearl_marl.golden.tracing.paths import Exits, Literal, Path
+from pearl_marl.golden.tracing.words import Beyond, Word, flag_of, node_of
 
 MOST_ROUNDS = 1000
 """Rounds after which a ``while`` counts as one without a bound."""
 
 
-class StatementContext(Protocol):
-    """What is known of the statement at hand: :class:`pearl_marl.golden.tracing.runtime.Runtime`."""
+class Paths:
+    """Knows the path of the statement at hand."""
 
-    graph: Graph
-    exits: list[Any]
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+        self.root = Path(graph)
+        self.exits: list[Any] = []
+        """What has ended paths, in order, until it is joined."""
+        self._path: Path | None = self.root
 
     @property
     def path(self) -> Path | None:
         """The path at hand; ``None`` where none is left."""
+        return self._path
 
     @path.setter
-    def path(self, path: Path | None) -> None: ...
+    def path(self, path: Path | None) -> None:
+        self._path = path
+        self.graph.known = path.known if path is not None else {}
+        self.graph.certain = path is not None and not path.literals
+        self.graph.decided_in = None if path is None else path.line
 
     @property
     def here(self) -> Path:
         """The path at hand, where one is."""
+        assert self._path is not None
+        return self._path
+
+    def frame(self) -> CallPaths:
+        """Return what keeps the paths of a call."""
+        return CallPaths(self)
 
     def truth(self, value: Any) -> bool | Node:
-        """Return whether a value counts as true."""
+        """Return whether a value counts as true: a flag, where that depends on a word."""
+        if isinstance(value, Beyond):
+            value = value.__ne__(0)
+        if not isinstance(value, Word):
+            return bool(value)
+        flag = flag_of(self.graph, node_of(self.graph, value))
+        decided = self.here.decided(flag)
+        return flag if decided is None else decided
 
     def at(self, path: Path, function: Callable[[], Any]) -> Any:
         """Return what a function gives on a path."""
+        before, self.path = self.path, path
+        try:
+            return function()
+        finally:
+            self.path = before
 
 
 class CallPaths:
     """The paths of one call of a function."""
 
-    def __init__(self, runtime: StatementContext) -> None:
+    def __init__(self, runtime: Paths) -> None:
         self.runtime, self.entry, self.mark = runtime, runtime.here, len(runtime.exits)
         self.results: list[tuple[Path, Any]] = []
 
@@ -91,7 +119,7 @@ class CallPaths:
 class Fork:
     """The two sides of an ``if``."""
 
-    def __init__(self, runtime: StatementContext, test: Any, before: tuple[Any, ...]) -> None:
+    def __init__(self, runtime: Paths, test: Any, before: tuple[Any, ...]) -> None:
         self.runtime, self.variables, self.start = runtime, before, runtime.here
         self.flag = runtime.truth(test)
         self.sides: list[Path | None]

@@ -14,69 +14,35 @@ import numpy as np
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden.rebinding import TypeLike
-from pearl_marl.golden.tracing.branches import CallPaths
+from pearl_marl.golden.tracing.branches import Paths
 from pearl_marl.golden.tracing.graph import Graph
 from pearl_marl.golden.tracing.joining import Listed, Undefined, has_words, joined
 from pearl_marl.golden.tracing.nodes import Node
 from pearl_marl.golden.tracing.paths import Path
 from pearl_marl.golden.tracing.rewriting import RUNTIME
 from pearl_marl.golden.tracing.twins import Twins
-from pearl_marl.golden.tracing.words import (
-    Beyond,
-    Word,
-    check_places,
-    chosen_entry,
-    flag_of,
-    node_of,
-    word_of,
-)
+from pearl_marl.golden.tracing.words import Beyond, Word, check_places, chosen_entry, node_of, word_of
 
 
-class Runtime:
+class Runtime(Paths):
     """What rewritten functions call: see :mod:`pearl_marl.golden.tracing.rewriting`."""
 
     def __init__(
         self, graph: Graph, again: Callable[[types.FunctionType], Any] = lambda function: function
     ) -> None:
-        self.graph = graph
+        super().__init__(graph)
         self.again = functools.cache(again)
         """Makes a function again that :meth:`called` has met."""
         graph.limits = self.limits
         self.twins = graph.twins = Twins(graph)
-        self.root = Path(graph)
-        self.exits: list[Any] = []
-        """What has ended paths, in order, until it is joined."""
-        self._path: Path | None = self.root
         self._birth: Path | None = None
         self._born: dict[int, tuple[Any, Path | None]] = {}
         """By ``id``, objects that :meth:`called` has made, and where."""
 
     @property
-    def path(self) -> Path | None:
-        """The path at hand; ``None`` where none is left."""
-        return self._path
-
-    @path.setter
-    def path(self, path: Path | None) -> None:
-        self._path = path
-        self.graph.known = path.known if path is not None else {}
-        self.graph.certain = path is not None and not path.literals
-        self.graph.decided_in = None if path is None else path.line
-
-    @property
     def birth(self) -> Path | None:
         """The path from which on a new list is seen: the one at hand, if it is not for what is written."""
-        return self._birth or self._path
-
-    @property
-    def here(self) -> Path:
-        """The path at hand, where one is."""
-        assert self._path is not None
-        return self._path
-
-    def frame(self) -> CallPaths:
-        """Return what keeps the paths of a call."""
-        return CallPaths(self)
+        return self._birth or self.path
 
     def called(self, function: Any) -> Any:
         """Return what is called: what no name of a scope has led to, such as a method, over words, too."""
@@ -109,7 +75,7 @@ class Runtime:
     def _made(self, cls: Any, begin: str, *arguments: Any, **keywords: Any) -> Any:
         """Return an object of a class whose author has written how it begins."""
         made, again = cls.__new__(cls), self.again(getattr(cls, begin))
-        self._born[id(made)] = made, self._path
+        self._born[id(made)] = made, self.path
         if begin == "__init__":
             again(made, *arguments, **keywords)
         elif hasattr(made, "__dict__"):
@@ -137,21 +103,11 @@ class Runtime:
             value.refuse()
         return value
 
-    def truth(self, value: Any) -> bool | Node:
-        """Return whether a value counts as true: a flag, where that depends on a word."""
-        if isinstance(value, Beyond):
-            value = value.__ne__(0)
-        if not isinstance(value, Word):
-            return bool(value)
-        flag = flag_of(self.graph, node_of(self.graph, value))
-        decided = self.here.decided(flag)
-        return flag if decided is None else decided
-
     def condition_since(self, start: Path) -> Node | None:
         """Return the condition that has come about since a path; ``None`` where there is none."""
-        if self._path is None:
+        if self.path is None:
             return None
-        condition = self._path.since(start)
+        condition = self.path.since(start)
         return None if condition.is_constant(1) else condition
 
     def either(self, test: Any, a: Callable[[], Any], b: Callable[[], Any]) -> Any:
@@ -164,14 +120,6 @@ class Runtime:
     def on(self, flag: Node, function: Callable[[], Any]) -> Any:
         """Return what a function gives where a flag is set."""
         return self.at(self.here.where(flag), function)
-
-    def at(self, path: Path, function: Callable[[], Any]) -> Any:
-        """Return what a function gives on a path."""
-        before, self.path = self.path, path
-        try:
-            return function()
-        finally:
-            self.path = before
 
     def both(self, a: Any, b: Callable[[], Any]) -> Any:
         """Return ``a and b()``."""
@@ -343,7 +291,7 @@ class Runtime:
     def limits(self, node: Node) -> tuple[int, int]:
         """Return between what a node is on the path at hand, which may say more than the node itself."""
         low, high = node.low, node.high
-        if self._path is None or low == high:
+        if self.path is None or low == high:
             return low, high
         for end in (low, high):
             inside = self.graph.choose(self.here.condition, node, self.graph.constant(end))
@@ -430,7 +378,7 @@ class Runtime:
         _, born = self._born.get(id(of), (None, None))
         start = (of.path if isinstance(of, Listed) else born) or self.root
         # A list that was made on a side that has been left is seen by its own path only.
-        is_seen = self._path is None or self._path.literals[: len(start.literals)] == start.literals
+        is_seen = self.path is None or self.path.literals[: len(start.literals)] == start.literals
         return start if is_seen else self.root
 
     def _changed(self, of: Any, flags: Sequence[Node], value: Any, old: Any) -> Any:
@@ -483,7 +431,7 @@ class Runtime:
     def listed(self, values: Iterable[Any] = ()) -> Listed:
         """Return a list whose elements may be written by words."""
         result = Listed(values)
-        result.path, result.runtime = self._path, self
+        result.path, result.runtime = self.path, self
         return result
 
     def items(self, values: Any) -> Any:
