@@ -120,7 +120,7 @@ class Fork:
     """The two sides of an ``if``."""
 
     def __init__(self, runtime: Paths, test: Any, before: tuple[Any, ...]) -> None:
-        self.runtime, self.variables, self.start = runtime, before, runtime.here
+        self.runtime, self.before, self.start = runtime, before, runtime.here
         self.flag = runtime.truth(test)
         self.sides: list[Path | None]
         if isinstance(self.flag, bool):
@@ -138,10 +138,6 @@ class Fork:
             return False
         self.runtime.path, self.mark = path, len(self.runtime.exits)
         return True
-
-    def before(self) -> tuple[Any, ...]:
-        """Return the variables before both sides."""
-        return self.variables
 
     def leaves(self, values: tuple[Any, ...]) -> None:
         """Note what a side leaves."""

@@ -314,7 +314,7 @@ class _Function(ast.NodeTransformer):
                 _.body
                 {fork}.leaves({names})
             if {fork}.takes(1):
-                {names} = {fork}.before()
+                {names} = {fork}.before
                 _.orelse
                 {fork}.leaves({names})
             {names} = {fork}.joined()

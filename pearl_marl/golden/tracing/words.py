@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
+import math
 import operator
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NoReturn
@@ -38,19 +40,37 @@ def _both(operation: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any
     return _binary(operation), _binary(operation, swapped=True)
 
 
-def _shift(operation: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
-    shift = _binary(operation)
+def _guarded(
+    operation: str, guard: Callable[[Graph, object], Node]
+) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
+    """Return the methods of an operation that takes not every number on its right: a guard refuses some."""
 
-    def checked(value: Any, by: Any) -> Any:
-        node = node_of(value.graph, by)
-        low, high = (node.low, node.high) if node.low >= 0 else value.graph.limits(node)
-        if operation == "left_by" and high > MOST_SHIFT:
-            low, high = value.graph.limits(node)
-        if low < 0 or (operation == "left_by" and high > MOST_SHIFT):
-            raise ArgumentError(f"a shift can be by {low} to {high}; possible are 0 to {MOST_SHIFT}")
-        return shift(value, Word(value.graph, value.graph.narrow(node, low, high)))
+    def method(self: Word, other: object) -> Word:
+        right = guard(self.graph, other)
+        return Word(self.graph, getattr(self.graph, operation)(node_of(self.graph, self), right))
 
-    return checked, lambda self, value: checked(word_of(self.graph, value), self)
+    return method, lambda self, other: method(word_of(self.graph, other), self)
+
+
+def _shift(graph: Graph, value: object, most: float = math.inf) -> Node:
+    node = node_of(graph, value)
+    low, high = node.low, node.high
+    if low < 0 or high > most:
+        low, high = graph.limits(node)
+    if low < 0 or high > most:
+        raise ArgumentError(f"a shift can be by {low} to {high}; possible are 0 to {MOST_SHIFT}")
+    return graph.narrow(node, low, high)
+
+
+def _divisor(graph: Graph, value: object) -> Node:
+    node = node_of(graph, value)
+    low, high = (node.low, node.high) if node.low >= 1 else graph.limits(node)
+    if low < 1:
+        found = f"{low}" if low == high else f"{low} to {high}"
+        raise ArgumentError(
+            f"a divisor can be {found}, and `//` and `%` take one from 1; `max(n, 1)` keeps it in"
+        )
+    return graph.narrow(node, low, high)  # a kernel has to know that on other paths it may be 0
 
 
 class Beyond:
@@ -80,8 +100,10 @@ class Word:
     __and__, __rand__ = _both("and_")
     __or__, __ror__ = _both("or_")
     __xor__, __rxor__ = _both("xor")
-    __lshift__, __rlshift__ = _shift("left_by")
-    __rshift__, __rrshift__ = _shift("right_by")
+    __lshift__, __rlshift__ = _guarded("left_by", functools.partial(_shift, most=MOST_SHIFT))
+    __rshift__, __rrshift__ = _guarded("right_by", _shift)
+    __floordiv__, __rfloordiv__ = _guarded("floor_divide", _divisor)
+    __mod__, __rmod__ = _guarded("modulo", _divisor)
     __eq__ = _binary("equal")
     __ne__ = _binary("equal", negated=True)
     __lt__ = _binary("less")
@@ -150,7 +172,7 @@ class Word:
             "a word is an exponent; powers of 2 are `1 << k`, and those of others a list that a word indexes"
         )
 
-    def __pow__(self, exponent: object, modulus: object = None) -> Word:
+    def __pow__(self, exponent: object, modulus: object = None) -> Any:
         if modulus is not None:
             return self.__pow__(exponent) % modulus
         if not isinstance(exponent, int) or exponent < 0:
@@ -159,20 +181,6 @@ class Word:
         for _ in range(exponent):
             node = self.graph.mul(node, node_of(self.graph, self))
         return Word(self.graph, node)
-
-    def __floordiv__(self, other: object) -> Word:
-        return Word(
-            self.graph, self.graph.floor_divide(node_of(self.graph, self), _divisor(self.graph, other))
-        )
-
-    def __mod__(self, other: object) -> Word:
-        return Word(self.graph, self.graph.modulo(node_of(self.graph, self), _divisor(self.graph, other)))
-
-    def __rfloordiv__(self, other: object) -> Word:
-        return word_of(self.graph, other) // self
-
-    def __rmod__(self, other: object) -> Word:
-        return word_of(self.graph, other) % self
 
     def __neg__(self) -> Word:
         return Word(self.graph, self.graph.sub(self.graph.constant(0), node_of(self.graph, self)))
@@ -248,17 +256,6 @@ _UFUNCS = OPERATORS | {
     "left_shift": operator.lshift,
     "right_shift": operator.rshift,
 }
-
-
-def _divisor(graph: Graph, value: object) -> Node:
-    node = node_of(graph, value)
-    low, high = (node.low, node.high) if node.low >= 1 else graph.limits(node)
-    if low < 1:
-        found = f"{low}" if low == high else f"{low} to {high}"
-        raise ArgumentError(
-            f"a divisor can be {found}, and `//` and `%` take one from 1; `max(n, 1)` keeps it in"
-        )
-    return graph.narrow(node, low, high)  # a kernel has to know that on other paths it may be 0
 
 
 def _no(name: str) -> NoReturn:
