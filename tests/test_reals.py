@@ -16,8 +16,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.golden.reals import FUNCTIONS, Real, fraction_for, functions, select, stored
-from pearl_marl.golden.reals.numbers import factor
+from pearl_marl.golden.reals import Real, functions
+from pearl_marl.golden.reals.choices import select, stored
+from pearl_marl.golden.reals.names import FUNCTIONS
+from pearl_marl.golden.reals.numbers import factor, fraction_for
 
 FRACTIONS = 20, 26, 28, 30
 TRIALS = 5_000

@@ -18,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.golden.reals import BUILTINS, FUNCTIONS, Real, constant
+from pearl_marl.golden.reals.names import BUILTINS, FUNCTIONS
+from pearl_marl.golden.reals.numbers import Real, constant
 from pearl_marl.golden.rebinding import Vocabulary, rebound
 
 u8 = np.uint8

@@ -23,8 +23,9 @@ from functools import cached_property
 from typing import Annotated, Any
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.golden.reals import Real as Number
-from pearl_marl.golden.reals import constant, fraction_for, stored
+from pearl_marl.golden.reals.choices import stored
+from pearl_marl.golden.reals.numbers import Real as Number
+from pearl_marl.golden.reals.numbers import constant, fraction_for
 from pearl_marl.golden.tracing.operations import bits_of, word_range
 from pearl_marl.layout.fields import Field
 

@@ -13,7 +13,8 @@ import numpy as np
 from pearl_marl.base.source_lines import source_line
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import Draws, GoldenFunction, Word
-from pearl_marl.golden.reals import Choice, Real, admitted, stored
+from pearl_marl.golden.reals import Real, admitted
+from pearl_marl.golden.reals.choices import Choice, stored
 from pearl_marl.golden.reals.words import rounded
 from pearl_marl.layout import Layout, leaves
 from pearl_marl.layout.fields import Field

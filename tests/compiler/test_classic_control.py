@@ -17,7 +17,7 @@ from pearl_marl.envs import get_spec
 from pearl_marl.envs.acrobot import step as acrobot
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden import GoldenFunction, call_reference
-from pearl_marl.golden.reals import constant
+from pearl_marl.golden.reals.numbers import constant
 from pearl_marl.golden.tracing.graph import Graph
 from pearl_marl.golden.tracing.nodes import Node, in_order, values
 from pearl_marl.golden.tracing.trace import trace

@@ -14,7 +14,9 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.golden.reals import FUNCTIONS, Choice, Real, admitted, select, stored
+from pearl_marl.golden.reals import Real, admitted
+from pearl_marl.golden.reals.choices import Choice, select, stored
+from pearl_marl.golden.reals.names import FUNCTIONS
 from pearl_marl.golden.reals.numbers import constant
 from pearl_marl.golden.tracing.graph import Graph
 from pearl_marl.golden.tracing.nodes import in_order, values

@@ -14,8 +14,7 @@ from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 from pearl_marl.errors import ArgumentError
-from pearl_marl.golden.reals.dispatch import Number
-from pearl_marl.golden.reals.numbers import Real, constant, factor, integer
+from pearl_marl.golden.reals.numbers import Number, Real, constant, factor, integer
 from pearl_marl.golden.reals.words import either, greatest, least, limits
 from pearl_marl.golden.tracing.nodes import Node
 from pearl_marl.golden.tracing.words import Word

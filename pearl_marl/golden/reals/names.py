@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from pearl_marl.golden.reals.choices import Choice, applied, choice_of, select
-from pearl_marl.golden.reals.dispatch import NUMPY
-from pearl_marl.golden.reals.numbers import Real
+from pearl_marl.golden.reals.numbers import NUMPY, Real
 from pearl_marl.golden.reals.words import greatest, least
+from pearl_marl.golden.rebinding import TypeLike
 from pearl_marl.golden.tracing.words import OPERATORS, Word
 
 FUNCTIONS: dict[Any, Callable[..., Any]] = {}
@@ -125,3 +125,9 @@ _register(np.clip, clip)
 _register(np.where, select)
 NUMPY.update({getattr(np, name): function for name, function in OPERATORS.items()})
 NUMPY.update({np.true_divide: operator.truediv, np.negative: operator.neg, np.positive: operator.pos})
+
+BUILTINS: dict[str, Any] = {
+    **{function.__name__: FUNCTIONS[function] for function in (min, max, round)},
+    "int": TypeLike(int, FUNCTIONS[int]),
+}
+"""Of the functions, those that golden functions name without an import."""
