@@ -50,7 +50,7 @@ from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.synthesis import CELLS, PLACEMENTS, Family, clock_rate, count_cells
 from pearl_marl.latency import step_cycles
 from pearl_marl.latency.cycles import RESULTS
-from pearl_marl.layout.fields import word_bits
+from pearl_marl.layout import word_bits
 from pearl_marl.memory_map import default_map
 from pearl_marl.spec import EnvSpec, snake_case
 

@@ -17,7 +17,7 @@ from pearl_marl.golden import GoldenFunction
 from pearl_marl.golden.tracing.graph import Graph
 from pearl_marl.golden.tracing.nodes import Node
 from pearl_marl.golden.tracing.trace import trace
-from pearl_marl.layout.fields import Field
+from pearl_marl.layout import Field
 from pearl_marl.spec import EnvSpec
 
 CROWDED = 512

@@ -20,14 +20,78 @@ import math
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, SupportsInt
+
+import numpy as np
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden.reals.choices import stored
 from pearl_marl.golden.reals.numbers import Real as Number
 from pearl_marl.golden.reals.numbers import constant, fraction_for
 from pearl_marl.golden.tracing.operations import bits_of, word_range
-from pearl_marl.layout.fields import Field
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Field:
+    """One named piece of a hardware word.
+
+    Parameters
+    ----------
+    name
+        As it appears in reports, waveforms, memory and generated code: ASCII letters, digits and underscores.
+    bits
+        Width in hardware, 1 to 64. On the host it lives in the narrowest integer that holds it.
+    signed
+        Whether it is two's complement.
+    fraction
+        Binary fraction bits: the value delivered is ``word * 2**-fraction``.
+    least, most
+        The range of its words, where that is not all that the bits hold.
+    """
+
+    name: str
+    bits: int
+    signed: bool = False
+    fraction: int = 0
+    least: int | None = None
+    most: int | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.bits, int) or not 1 <= self.bits <= 64:
+            raise ArgumentError(f"field {self.name!r} has {self.bits!r} bits; possible are 1 to 64")
+        if not isinstance(self.fraction, int) or self.fraction < 0:
+            raise ArgumentError(f"field {self.name!r} has {self.fraction!r} fraction bits; 0 is the least")
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """The narrowest NumPy integer that holds the field."""
+        width = max(8, 1 << (self.bits - 1).bit_length())
+        return np.dtype(f"{'int' if self.signed else 'uint'}{width}")
+
+    def value(self, word: SupportsInt) -> float:
+        """Return what a word stands for; an ``int`` where there is no fraction."""
+        return int(word) * 2.0**-self.fraction if self.fraction else int(word)
+
+    @property
+    def range(self) -> tuple[int, int]:
+        """The least and the greatest word."""
+        low, high = word_range(self.bits, self.signed)
+        return low if self.least is None else self.least, high if self.most is None else self.most
+
+    @property
+    def low(self) -> float:
+        """The least value; an ``int`` where there is no fraction."""
+        return self.value(self.range[0])
+
+    @property
+    def high(self) -> float:
+        """The greatest value; an ``int`` where there is no fraction."""
+        return self.value(self.range[1])
+
+
+def word_bits(fields: Sequence[Field]) -> int:
+    """Return the width in bits of the word made of ``fields`` side by side."""
+    return sum(f.bits for f in fields)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,23 +121,13 @@ class Several:
     count: int
 
 
-class _Bits:
-    """``Bits[n]``: a word of n bits, from 0. ``Bits[n, f]`` has f of them behind the binary point.
-
-    ``Bits[0]``, where an option makes a word needless, keeps nothing: it is 0 when it is read.
-    """
+class _Word:
+    def __init__(self, signed: bool) -> None:
+        self.signed = signed
 
     def __getitem__(self, sizes: int | tuple[int, int]) -> Any:
         bits, fraction = sizes if isinstance(sizes, tuple) else (sizes, 0)
-        return Annotated[int, Scalar(bits, False, fraction)]
-
-
-class _Signed:
-    """``Signed[n]``: a word of n bits, two's complement. ``Signed[n, f]`` has f of them behind the point."""
-
-    def __getitem__(self, sizes: int | tuple[int, int]) -> Any:
-        bits, fraction = sizes if isinstance(sizes, tuple) else (sizes, 0)
-        return Annotated[int, Scalar(bits, True, fraction)]
+        return Annotated[int, Scalar(bits, self.signed, fraction)]
 
 
 class _Range:
@@ -117,8 +171,13 @@ class _Array:
         return kind
 
 
-Bits: Any = _Bits()
-Signed: Any = _Signed()
+Bits: Any = _Word(signed=False)
+"""``Bits[n]``: a word of n bits, from 0. ``Bits[n, f]`` has f of them behind the binary point.
+
+``Bits[0]``, where an option makes a word needless, keeps nothing: it is 0 when it is read.
+"""
+Signed: Any = _Word(signed=True)
+"""``Signed[n]``: a word of n bits, two's complement. ``Signed[n, f]`` has f of them behind the point."""
 Range: Any = _Range()
 Real: Any = _Real()
 Array: Any = _Array()
@@ -146,18 +205,20 @@ class Layout:
         if not isinstance(cls, type) or not getattr(cls, "__annotations__", None):
             raise ArgumentError(f"{cls!r} is no class with annotated fields, such as `row: Bits[2]`")
         self.cls = cls
-        bounds = list(_intervals(cls))
-        if fraction is None and bounds:
-            fraction = fraction_for((one.low, one.high) for one in bounds)
-        self.fraction = fraction if bounds else None
+        self._tree = _Group(cls)
+        reals = [part for part in _inside(self._tree) if isinstance(part, _RealLeaf)]
+        if fraction is None and reals:
+            fraction = fraction_for(real.ends for real in reals)
+        self.fraction = fraction if reals else None
         """The fraction bits of reals; ``None`` where there are none."""
-        self._tree = _Group(cls, fraction or 0)
+        for real in reals:
+            real.fraction = fraction or 0
         self.fields = tuple(self._tree.fields(""))
 
     @property
     def classes(self) -> tuple[type, ...]:
         """The class, and those of the objects in it."""
-        return tuple(_classes(self._tree))
+        return tuple(part.cls for part in _inside(self._tree) if isinstance(part, _Group))
 
     @cached_property
     def built(self) -> Callable[[Iterable[Any]], Any]:
@@ -250,12 +311,13 @@ class _Leaf:
 
 
 class _RealLeaf:
-    def __init__(self, interval: Interval, fraction: int) -> None:
-        self.ends, self.fraction = (interval.low, interval.high), fraction
-        self.field = real_field("", interval, fraction)
+    fraction = 0
+
+    def __init__(self, interval: Interval) -> None:
+        self.interval, self.ends = interval, (interval.low, interval.high)
 
     def fields(self, name: str) -> Iterator[Field]:
-        yield dataclasses.replace(self.field, name=name)
+        yield real_field(name, self.interval, self.fraction)
 
     def made(self, words: Iterator[str], code: _LayoutCode) -> str:
         word = next(words)
@@ -307,10 +369,9 @@ class _Several:
 
 
 class _Group:
-    def __init__(self, cls: type, fraction: int) -> None:
+    def __init__(self, cls: type) -> None:
         self.cls = cls
-        hints = _hints(cls)
-        self.parts = {name: _tree(hint, f"{cls.__name__}.{name}", fraction) for name, hint in hints.items()}
+        self.parts = {name: _tree(hint, f"{cls.__name__}.{name}") for name, hint in _hints(cls).items()}
 
     def fields(self, name: str) -> Iterator[Field]:
         for own, part in self.parts.items():
@@ -337,37 +398,26 @@ class _Group:
 _Tree = _Leaf | _RealLeaf | _Several | _Group
 
 
-def _classes(tree: _Tree) -> Iterator[type]:
+def _inside(tree: _Tree) -> Iterator[_Tree]:
+    """Yield a tree, and all that are inside it."""
+    yield tree
     if isinstance(tree, _Several):
-        yield from _classes(tree.element)
+        yield from _inside(tree.element)
     if isinstance(tree, _Group):
-        yield tree.cls
         for part in tree.parts.values():
-            yield from _classes(part)
+            yield from _inside(part)
 
 
-def _intervals(hint: Any) -> Iterator[Interval]:
-    """Yield the ranges of all reals of a class or an annotation."""
-    for extra in getattr(hint, "__metadata__", ()):
-        if isinstance(extra, Interval):
-            yield extra
-        if isinstance(extra, Several):
-            yield from _intervals(extra.of)
-    if isinstance(hint, type) and getattr(hint, "__annotations__", None):
-        for inner in _hints(hint).values():
-            yield from _intervals(inner)
-
-
-def _tree(hint: Any, where: str, fraction: int) -> _Tree:
+def _tree(hint: Any, where: str) -> _Tree:
     for extra in getattr(hint, "__metadata__", ()):
         if isinstance(extra, Scalar):
             return _Leaf(extra)
         if isinstance(extra, Several):
-            return _Several(_tree(extra.of, where, fraction), extra.count)
+            return _Several(_tree(extra.of, where), extra.count)
         if isinstance(extra, Interval):
-            return _RealLeaf(extra, fraction)
+            return _RealLeaf(extra)
     if isinstance(hint, type) and getattr(hint, "__annotations__", None):
-        return _Group(hint, fraction)
+        return _Group(hint)
     raise ArgumentError(
         f"{where} is annotated {getattr(hint, '__name__', hint)}; say how wide it is: Bits[4], Range[0, 9], "
         "Real[-1, 1], Array[Bits[4], 16] or a class of such fields"

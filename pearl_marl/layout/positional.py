@@ -16,8 +16,7 @@ from pearl_marl.golden import Draws, GoldenFunction, Word
 from pearl_marl.golden.reals import Real, admitted
 from pearl_marl.golden.reals.choices import Choice, stored
 from pearl_marl.golden.reals.words import rounded
-from pearl_marl.layout import Layout, leaves
-from pearl_marl.layout.fields import Field
+from pearl_marl.layout import Field, Layout, leaves
 
 
 class Positional(NamedTuple):

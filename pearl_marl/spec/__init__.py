@@ -25,9 +25,9 @@ from pearl_marl.golden import MOST_DRAWS, CountingDraws, GoldenFunction, as_pyth
 from pearl_marl.golden.tracing.checks import Argument, Result, check
 from pearl_marl.golden.tracing.operations import word_range
 from pearl_marl.golden.tracing.records import RULES, record
+from pearl_marl.layout import Field as Field
 from pearl_marl.layout import Interval, Layout, real_field
-from pearl_marl.layout.fields import Field as Field
-from pearl_marl.layout.fields import word_bits as word_bits
+from pearl_marl.layout import word_bits as word_bits
 from pearl_marl.layout.positional import (
     UNPACKED_FRACTION,
     Positional,
