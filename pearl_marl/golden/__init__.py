@@ -12,10 +12,9 @@ import itertools
 import operator
 import types
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from pearl_marl.errors import ArgumentError
 from pearl_marl.golden.reals.names import BUILTINS, FUNCTIONS
@@ -249,39 +248,11 @@ def reference(function: GoldenFunction, *agent: int) -> Callable[..., tuple[Any,
         shape = np.broadcast_shapes(*(array.shape for array in arrays))
         if not shape:
             return tuple(_array([word])[0] for word in once(*(int(array[()]) for array in arrays)))
-        columns = [np.broadcast_to(array, shape).ravel() for array in arrays]
-        places = _kinds(columns)
-        rows = zip(*(column[places.first].tolist() for column in columns), strict=True)
-        results = zip(*itertools.starmap(once, rows), strict=True)
-        return tuple(_array(column)[places.kind].reshape(shape) for column in results)
+        columns = (np.broadcast_to(array, shape).ravel().tolist() for array in arrays)
+        results = zip(*itertools.starmap(once, zip(*columns, strict=True)), strict=True)
+        return tuple(_array(column).reshape(shape) for column in results)
 
     return run
-
-
-class _Kinds(NamedTuple):
-    first: Any
-    """The place of the first row of each kind."""
-    kind: Any
-    """The kind of each row."""
-
-
-def _kinds(columns: Sequence[npt.NDArray[Any]]) -> _Kinds:
-    """Tell rows that are the same: they get one call."""
-    count = len(columns[0])
-    every = _Kinds(slice(None), slice(None))
-    if count < LEAST_ROWS:
-        return every
-    kind = np.zeros(count, np.int64)
-    for column in reversed(columns):  # draws are last, and all different
-        values, places = np.unique(column, return_inverse=True)
-        first, kind = np.unique(kind * len(values) + places, return_index=True, return_inverse=True)[1:]
-        if 2 * len(first) > count:
-            return every
-    return _Kinds(first, kind)
-
-
-LEAST_ROWS = 64
-"""Of which it is worth while to look for rows that are the same."""
 
 
 def _array(words: Sequence[int]) -> Any:
