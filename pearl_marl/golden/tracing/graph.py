@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from pearl_marl.golden.tracing.nodes import Node, Nodes
@@ -371,22 +371,20 @@ class Graph(Nodes):
 
     def minimum(self, a: Node, b: Node) -> Node:
         """Return the less of two."""
-        if a.high <= b.low or b.high <= a.low:
-            return a if a.high <= b.low else b
-        node = self.choose(self.less(a, b), a, b)
-        return self._limit(node, min(a.low, b.low), min(a.high, b.high))
+        return self._extreme(min, a, b)
 
     def maximum(self, a: Node, b: Node) -> Node:
         """Return the greater of two."""
-        if a.high <= b.low or b.high <= a.low:
-            return b if a.high <= b.low else a
-        node = self.choose(self.less(a, b), b, a)
-        return self._limit(node, max(a.low, b.low), max(a.high, b.high))
+        return self._extreme(max, a, b)
 
-    def _limit(self, node: Node, low: int, high: int) -> Node:
+    def _extreme(self, of: Callable[[int, int], int], a: Node, b: Node) -> Node:
+        where_less, where_not = (a, b) if of is min else (b, a)
+        if a.high <= b.low or b.high <= a.low:
+            return where_less if a.high <= b.low else where_not
+        node = self.choose(self.less(a, b), where_less, where_not)
         if node.op == "choose":
             self._limited.add(node)
-        return self.within(node, low, high)
+        return self.within(node, of(a.low, b.low), of(a.high, b.high))
 
     def narrow(self, a: Node, low: int, high: int) -> Node:
         """Return ``a`` with the range that it is known to have wherever the result is used."""
@@ -435,7 +433,7 @@ class Graph(Nodes):
             case op:
                 result = getattr(self, _METHODS.get(op, op))(*args)
         if not node.loose:
-            self.settle(result)
+            result.loose = False
         if result.name is None and result.op != "constant":
             result.name, result.line = node.name, node.line
         return result

@@ -47,10 +47,6 @@ class Listed(list[Any]):
     runtime: Any = None
     """What it was made by: it knows where a word decides."""
 
-    def _grow(self) -> None:
-        if self.runtime is not None:
-            self.runtime.growing(self)
-
     def _new(self, values: Iterable[Any]) -> list[Any]:
         """Return another list, made where the author is."""
         made: list[Any] = list(values) if self.runtime is None else self.runtime.listed(values)
@@ -78,7 +74,8 @@ class Listed(list[Any]):
 
 def _growing(name: str) -> Callable[..., Any]:
     def method(self: Listed, *args: Any, **keywords: Any) -> Any:
-        self._grow()
+        if self.runtime is not None:
+            self.runtime.growing(self)
         return getattr(list, name)(self, *args, **keywords)
 
     return method
@@ -149,8 +146,8 @@ def joined(graph: Graph, flag: Node, a: Any, b: Any) -> Any:
             one.refuse()
     if _is_number(a) and _is_number(b):
         node = graph.choose(flag, node_of(graph, a), node_of(graph, b))
-        if graph.certain:  # outside of all branches nothing depends on where it is used
-            graph.settle(node)
+        if graph.certain:  # outside of all branches it is right everywhere, of whatever it is a choice
+            node.loose = False
         return Word(graph, node)
     if graph.floats is not None and all(isinstance(x, (float, Beyond)) or _is_number(x) for x in (a, b)):
         return graph.floats.select(Word(graph, flag), a, b)

@@ -121,14 +121,10 @@ class Nodes:
 
     def free(self, node: Node) -> None:
         """Forget how a node of few values came about: what is made of it has it as a free word."""
-        self.settle(node)
+        node.loose = False
         self._make_axis(node)
         if node.axis is not None:
             node.function = Function((node.axis,), self._domains[node.axis])
-
-    def settle(self, node: Node) -> None:
-        """Note that a node is right everywhere, as a choice outside of all branches is, of whatever it is."""
-        node.loose = False
 
     def within(self, node: Node, low: int, high: int) -> Node:
         """Note that a node's values are within a range, which what it is made of does not tell."""
