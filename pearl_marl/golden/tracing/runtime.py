@@ -229,23 +229,16 @@ class Runtime(Paths):
             result = self.either(self.equal(among[place], value), lambda: place, lambda: result)  # noqa: B023
         return result
 
-    def every(self, values: Iterable[Any]) -> Any:
-        """Return whether all values are true."""
-        result: Any = True
+    def _combined(self, combine: Callable[[Any, Any], Any], begin: bool, values: Iterable[Any]) -> Any:
+        result: Any = begin
         for value in values:
-            result = self.flag(value) & result
-            if result is False:
+            result = combine(self.flag(value), result)
+            if result is (not begin):
                 break
         return result
 
-    def some(self, values: Iterable[Any]) -> Any:
-        """Return whether any value is true."""
-        result: Any = False
-        for value in values:
-            result = self.flag(value) | result
-            if result is True:
-                break
-        return result
+    every = functools.partialmethod(_combined, operator.and_, True)
+    some = functools.partialmethod(_combined, operator.or_, False)
 
     def flag(self, value: Any = False) -> Any:
         """Return ``bool(value)``."""
@@ -404,16 +397,16 @@ class Runtime(Paths):
         if isinstance(of, (list, dict, set, deque)):
             if any(flags for _, flags in self._same(of)):
                 self._changes(of, verb)
-        elif not verb and self._is_changed_in_place(of):
+        # `of += 1` may call what its author has written.
+        elif (
+            not verb
+            and any(_is_written(type(of), f"__{name}__") for name in _IN_PLACE)
+            and self.condition_since(self._start(of)) is not None
+        ):
             raise ArgumentError(
                 f"an operator of {type(of).__name__} changes it where a word decides; write a function"
             )
         return of
-
-    def _is_changed_in_place(self, of: Any) -> bool:
-        """Return whether `of += 1` may call what its author has written, where a word decides."""
-        is_written = any(_is_written(type(of), f"__{name}__") for name in _IN_PLACE)
-        return is_written and self.condition_since(self._start(of)) is not None
 
     def _changes(self, of: Any, verb: str) -> NoReturn:
         """Refuse a change that no word can decide."""
