@@ -75,18 +75,14 @@ def sine(word: Any, fraction: int) -> Any:
     """Return the sine of an angle in radians, from which whole turns are taken; with the same fraction."""
     angle = _angle(word, fraction)
     size = either(angle.odd == 1, angle.cosine, angle.sine)
-    return _from_31(either(angle.lower == 1, -size, size), fraction)
+    return rounded(either(angle.lower == 1, -size, size), 31 - fraction)
 
 
 def cosine(word: Any, fraction: int) -> Any:
     """Return the cosine of an angle in radians, from which whole turns are taken; with the same fraction."""
     angle = _angle(word, fraction)
     size = either(angle.odd == 1, angle.sine, angle.cosine)
-    return _from_31(either((angle.lower ^ angle.odd) == 1, -size, size), fraction)
-
-
-def _from_31(word: Any, fraction: int) -> Any:
-    return rounded(word, 31 - fraction)
+    return rounded(either((angle.lower ^ angle.odd) == 1, -size, size), 31 - fraction)
 
 
 def reciprocal(y: Any) -> Any:

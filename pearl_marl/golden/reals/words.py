@@ -47,22 +47,20 @@ def either(flag: Any, a: Any, b: Any) -> Any:
 
 def least(a: Any, b: Any) -> Any:
     """Return the less of two words."""
-    found = _extreme("minimum", a, b)
-    return min(a, b) if found is None else found
+    return _extreme(min, "minimum", a, b)
 
 
 def greatest(a: Any, b: Any) -> Any:
     """Return the greater of two words."""
-    found = _extreme("maximum", a, b)
-    return max(a, b) if found is None else found
+    return _extreme(max, "maximum", a, b)
 
 
-def _extreme(name: str, a: Any, b: Any) -> Word | None:
+def _extreme(of_integers: Any, name: str, a: Any, b: Any) -> Any:
     for word in (a, b):
         if isinstance(word, Word):
             graph = word.graph
             return Word(graph, getattr(graph, name)(node_of(graph, a), node_of(graph, b)))
-    return None
+    return of_integers(a, b)
 
 
 def kept(word: Any, bits: int) -> Any:

@@ -61,8 +61,9 @@ def check(
     results = trace(graph, function, list(inputs.values()), *agent)
     if len(results) != len(due):
         raise ArgumentError(
-            f"{location(function)}: {function.__name__}() returns {_count(results, 'word')}, and the "
-            f"spec takes {len(due)}: {_listed([word.name for word in due])}"
+            f"{location(function)}: {function.__name__}() returns {len(results)} word"
+            f"{'' if len(results) == 1 else 's'}, and the spec takes {len(due)}: "
+            f"{_listed([word.name for word in due])}"
         )
     for node, word in zip(results, due, strict=True):
         if node.low < word.low or node.high > word.high:
@@ -107,10 +108,6 @@ def _cases(inputs: Mapping[str, Node], constants: Sequence[int], count: int) -> 
             name: chance.choice(edges[name]) if chance.random() < 0.7 else chance.randint(word.low, word.high)
             for name, word in inputs.items()
         }
-
-
-def _count(things: Sequence[object], noun: str) -> str:
-    return f"{len(things)} {noun}{'s' if len(things) != 1 else ''}"
 
 
 def _listed(words: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ make anything of it.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -76,12 +77,12 @@ def _sum(imm: Any, *args: Operation) -> Range:
     return low + constant, high + constant
 
 
-def _left(_: Any, a: Operation, by: Operation) -> Range:
-    return min(a.low << by.low, a.low << by.high), max(a.high << by.low, a.high << by.high)
+def _shift(shift: Callable[[int, int], int]) -> Callable[..., Range]:
+    def result(_: Any, a: Operation, by: Operation) -> Range:
+        lows, highs = ([shift(end, count) for count in (by.low, by.high)] for end in (a.low, a.high))
+        return min(lows), max(highs)
 
-
-def _right(_: Any, a: Operation, by: Operation) -> Range:
-    return min(a.low >> by.low, a.low >> by.high), max(a.high >> by.low, a.high >> by.high)
+    return result
 
 
 def _quotient(_: Any, a: Operation, by: Operation) -> Range:
@@ -127,8 +128,8 @@ RANGES: dict[str, Callable[..., Range]] = {
     "mask": lambda _, a: (-1, 0),
     "left": lambda by, a: (a.low << by, a.high << by),
     "right": lambda by, a: (a.low >> by, a.high >> by),
-    "left_by": _left,
-    "right_by": _right,
+    "left_by": _shift(operator.lshift),
+    "right_by": _shift(operator.rshift),
     "equal": lambda _, a, b: (0, 1),
     "less": lambda _, a, b: (0, 1),
     "choose": _choose,
