@@ -42,7 +42,6 @@ from pearl_marl.layout.positional import (
     view_of,
 )
 from pearl_marl.spec.elements import ActionSpace, action_counts, are_numbers, bounds
-from pearl_marl.spec.peer import Peer as Peer
 from pearl_marl.spec.pickling import reduced
 
 
@@ -114,6 +113,40 @@ class Grid(NamedTuple):
     columns: int
     cell: Callable[[npt.NDArray[Any]], npt.NDArray[np.integer[Any]]]
     """Maps observations of shape ``(n, ...)`` to cell numbers (row-major) of shape ``(n,)``."""
+
+
+class Peer(NamedTuple):
+    """An environment as another library has it, for benchmarks that time it beside ours.
+
+    Parameters
+    ----------
+    make
+        The library's id of it, for EnvPool, gymnax and pgx. For others ``"module:name"``, which is called
+        with the spec's options, or a function that takes the spec; it returns one environment: jumanji's or
+        JaxMARL's for these libraries, else one of the kind of Gymnasium, PettingZoo or dm_env.
+    options
+        The options that the library takes. By default gymnax takes none, and ``"module:name"`` all.
+    parameters
+        The options that are parameters of gymnax's environment.
+    actions
+        Takes the spec and actions of all agents, an array of shape ``(n, ...)``, and returns them as EnvPool,
+        jumanji or a library in Python takes them: one entry for each environment.
+    choose
+        Takes an environment of a library in Python and a ``random.Random``, and returns its next actions.
+        Without it they are the same in every step. In games of turns they are legal by the masks.
+    agents
+        How many agents share one of EnvPool's environments, where ours has another number.
+    differs
+        How EnvPool's environment differs from ours, for the table.
+    """
+
+    make: str | Callable[[Any], Any]
+    options: tuple[str, ...] | None = None
+    parameters: tuple[str, ...] = ()
+    actions: Callable[[Any, npt.NDArray[Any]], Any] | None = None
+    choose: Callable[[Any, Any], Any] | None = None
+    agents: int | None = None
+    differs: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -324,13 +357,17 @@ class EnvSpec:
 
     def draws_of(self, act: GoldenFunction) -> int:
         """Return how many draws an author's ``act(view, draws)`` asks for."""
-        view, fraction = self._view, self.layout.fraction
+        fraction = self.layout.fraction
         # No path through it changes how many it asks for: any observation will do.
-        state = call_reference(self.positional.initial, [0] * self.reset_draws)
-        words = call_reference(self.positional.observe, state, *self.views[0])
         counting = CountingDraws(fraction)
-        as_python_runs_it(act, fraction is not None)(view_from(view, list(map(int, words))), counting)
+        as_python_runs_it(act, fraction is not None)(view_from(self._view, self._first_words), counting)
         return counting.count
+
+    @property
+    def _first_words(self) -> list[int]:
+        """The words that agent 0 may see at a start."""
+        state = call_reference(self.positional.initial, [0] * self.reset_draws)
+        return list(map(int, call_reference(self.positional.observe, state, *self.views[0])))
 
     @cached_property
     def plain_unpack(self) -> GoldenFunction | None:
@@ -421,10 +458,9 @@ class EnvSpec:
             return
         row = np.zeros(self.observation_size, self.observation_dtype)
         # Of a start, since there may be no state that has the least or greatest words of all fields.
-        state = call_reference(self.positional.initial, [0] * self.reset_draws)
-        words = call_reference(self.positional.observe, state, *self.views[0])
+        words = self._first_words
         try:
-            unpack(*map(int, words), row)
+            unpack(*words, row)
         except Exception as error:
             code = getattr(self.unpack, "py_func", self.unpack).__code__  # type: ignore[union-attr]
             raise ArgumentError(
@@ -730,8 +766,8 @@ def _fields_of(space: Space[Any]) -> tuple[Field, ...]:
         raise ArgumentError(
             f"observation space {space} does not say how wide its words are; give Golden(view=...)"
         )
-    words = [Field(f"observation_{k}", _width(int(end) + 1)) for k, end in enumerate(high.ravel())]
-    return (replace(words[0], name="observation"),) if len(words) == 1 else tuple(words)
+    words = (Field(f"observation_{k}", _width(int(end) + 1)) for k, end in enumerate(high.ravel()))
+    return _told_apart(tuple(words), "observation")
 
 
 def _width(count: int) -> int:
