@@ -270,22 +270,18 @@ class _LayoutCode:
 
     def __init__(self) -> None:
         self.lines: list[str] = []
-        self.scope: dict[str, Any] = {}
+        self.names: dict[Any, str] = {}
 
     def known(self, value: object) -> str:
         """Return a name that the text has for a value."""
-        for name, other in self.scope.items():
-            if other is value:
-                return name
-        name = f"known_{len(self.scope)}"
-        self.scope[name] = value
-        return name
+        return self.names.setdefault(value, f"known_{len(self.names)}")
 
     def function(self, name: str, argument: str, lines: Iterable[str], result: str) -> Any:
         """Return the function of these statements."""
         text = [f"def {name}({argument}):", *(f"    {line}" for line in lines), f"    return {result}"]
-        exec("\n".join(text), self.scope)
-        return self.scope[name]
+        scope: dict[str, Any] = {known: value for value, known in self.names.items()}
+        exec("\n".join(text), scope)
+        return scope[name]
 
 
 class _Leaf:
