@@ -231,28 +231,20 @@ class LoopPaths:
     def next_round(self, values: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the variables after a round."""
         runtime = self.runtime
-        ends = self.continued
-        self.continued = []
+        ends, self.continued = self.continued, []
         if runtime.path is not None:
             ends.append((runtime.path, values))
-        others = [e for e in runtime.exits[self.mark :] if e is not self.passed]
-        runtime.exits[self.mark :] = others
+        runtime.exits[self.mark :] = [e for e in runtime.exits[self.mark :] if e is not self.passed]
         if ends:
-            but = frozenset([self.frame, self.broken, self.passed])
-            values = self._merged(ends, self.round, but)
-            runtime.path = self._after(self.round, ends, frozenset([self.passed]))
+            values = self._merged(ends, self.round, frozenset([self.frame, self.broken, self.passed]))
+            path, begin = self.round, len(self.round.literals)
+            exits = {e for end, _ in ends for lit in end.literals[begin:] for e in lit.exits}
+            lost = frozenset(exits - {self.passed})
+            if lost or runtime.exits[self.mark :]:
+                path = path.where(self._reached(path, ends), lost or frozenset([self.frame]))
+            runtime.path = path
         self.round = runtime.path or self.round
         return values
-
-    def _after(self, start: Path, ends: Sequence[tuple[Path, Any]], resolved: Exits) -> Path:
-        """Return the path on which any of some ends was reached."""
-        exits = frozenset(
-            e for path, _ in ends for lit in path.literals[len(start.literals) :] for e in lit.exits
-        )
-        lost = exits - resolved
-        if not lost and not self.runtime.exits[self.mark :]:
-            return start
-        return start.where(self._reached(start, ends), lost or frozenset([self.frame]))
 
     def _reached(self, start: Path, ends: Sequence[tuple[Path, Any]]) -> Node:
         """Return whether any of some ends is reached from a path."""
