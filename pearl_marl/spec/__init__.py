@@ -115,7 +115,8 @@ class Grid(NamedTuple):
     """Maps observations of shape ``(n, ...)`` to cell numbers (row-major) of shape ``(n,)``."""
 
 
-class Peer(NamedTuple):
+@dataclass(frozen=True)
+class Peer:
     """An environment as another library has it, for benchmarks that time it beside ours.
 
     Parameters
