@@ -1,16 +1,17 @@
 """Vectors of sixteen numbers, one for each filter, for the loops of :mod:`pearl_marl.policies.convolution`.
 
-These functions are LLVM's instructions, as Numba does not keep a block of sums in registers by itself.
+Numba does not keep a block of sums in registers by itself: see :mod:`pearl_marl.policies.vector_code`.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic
+
+from pearl_marl.policies.vector_code import INDEX, VectorCode, constant, function_of
 
 FILTERS = 16
 FEW, TOGETHER = 4, 8
@@ -20,219 +21,132 @@ PANEL = VECTORS * FILTERS
 """Outputs of the linear layer that are summed together, in so many vectors."""
 
 
-_VECTOR = ir.VectorType(ir.FloatType(), FILTERS)
-_INDEX, _LANE = ir.IntType(64), ir.IntType(32)
-_intrinsic: Any = intrinsic
-_alloca: Any = cgutils.alloca_once
+_FLOAT = ir.FloatType()
+_VECTOR = ir.VectorType(_FLOAT, FILTERS)
+_NONE = constant(_VECTOR, 0.0)
 
 
-def _pointer(context: Any, builder: Any, kind: Any, array: Any, at: Any) -> Any:
-    """Return a pointer to an element of an array."""
-    return builder.gep(context.make_array(kind)(context, builder, array).data, [at])
-
-
-def _vector(builder: Any, pointer: Any) -> Any:
-    """Return a pointer to the sixteen numbers from a number on."""
-    return builder.bitcast(pointer, _VECTOR.as_pointer())
-
-
-def _sixteen(builder: Any, number: Any) -> Any:
-    """Return a number sixteen times."""
-    single = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), number, _LANE(0))
-    return builder.shuffle_vector(single, single, ir.Constant(ir.VectorType(_LANE, FILTERS), [0] * FILTERS))
-
-
-def _panel(builder: Any, pointer: Any) -> list[Any]:
+def _panel(code: VectorCode, array: Any, at: Any) -> list[Any]:
     """Return the vectors of a panel from a number on."""
-    first = _vector(builder, pointer)
-    return [builder.load(builder.gep(first, [_LANE(k)]), align=4) for k in range(VECTORS)]
+    return [code.load(array, code.plus(at, k * FILTERS), _VECTOR) for k in range(VECTORS)]
 
 
-def _plus_product(builder: Any, total: Any, numbers: Any, factors: Any) -> Any:
-    """Return sums with products added; processors that can do both at once round once."""
-    fused = ("contract",)
-    return builder.fadd(total, builder.fmul(factors, numbers, flags=fused), flags=fused)
+def _store_panel(code: VectorCode, vectors: list[Any], array: Any, at: Any) -> None:
+    for k, vector in enumerate(vectors):
+        code.store(vector, array, code.plus(at, k * FILTERS))
 
 
-def _positive(builder: Any, numbers: Any) -> Any:
+def _factor(code: VectorCode, array: Any, at: Any) -> Any:
+    """Return a number of an array sixteen times."""
+    return code.spread(code.load(array, at, _FLOAT), FILTERS)
+
+
+def _positive(code: VectorCode, numbers: Any) -> Any:
     """Return which of sixteen numbers are above 0, or NaN."""
-    return builder.fcmp_unordered(">", numbers, ir.Constant(_VECTOR, [0.0] * FILTERS))
+    return code.builder.fcmp_unordered(">", numbers, _NONE)
 
 
-@_intrinsic  # type: ignore[untyped-decorator]
-def add(_: Any, sums: Any, at: Any, terms: Any, of: Any) -> Any:
+@function_of
+def add(code: VectorCode, sums: Any, at: Any, terms: Any, of: Any) -> None:
     """Add sixteen terms, from ``of`` on, to sixteen sums, from ``at`` on."""
-
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        total, some = (
-            _vector(builder, _pointer(context, builder, signature.args[k], operands[k], operands[k + 1]))
-            for k in (0, 2)
-        )
-        term = builder.load(some, align=4)
-        builder.store(builder.fadd(builder.load(total, align=4), term), total, align=4)
-        return context.get_dummy_value()
-
-    return types.none(sums, types.int64, terms, types.int64), generate
+    total, some = code.load(sums, at, _VECTOR), code.load(terms, of, _VECTOR)
+    code.store(code.builder.fadd(total, some), sums, at)
 
 
-@_intrinsic  # type: ignore[untyped-decorator]
-def rectify(_: Any, made: Any, at: Any, sums: Any, of: Any, bias: Any) -> Any:
+@partial(function_of, result=types.uint16)
+def rectify(code: VectorCode, made: Any, at: Any, sums: Any, of: Any, bias: Any) -> Any:
     """Store relu(sums + bias) - relu(bias); return a bit for each sum with its bias that is above 0."""
-
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        to, some = (
-            _vector(builder, _pointer(context, builder, signature.args[k], operands[k], operands[k + 1]))
-            for k in (0, 2)
-        )
-        bias = _vector(builder, _pointer(context, builder, signature.args[4], operands[4], _INDEX(0)))
-        alone, none = builder.load(bias, align=4), ir.Constant(_VECTOR, [0.0] * FILTERS)
-        total = builder.fadd(builder.load(some, align=4), alone)
-        flags = _positive(builder, total)
-        rectified, of_bias = (
-            builder.select(_positive(builder, numbers), numbers, none) for numbers in (total, alone)
-        )
-        builder.store(builder.fsub(rectified, of_bias), to, align=4)
-        return builder.bitcast(flags, ir.IntType(FILTERS))
-
-    return types.uint16(made, types.int64, sums, types.int64, bias), generate
+    builder, alone = code.builder, code.load(bias, INDEX(0), _VECTOR)
+    total = builder.fadd(code.load(sums, of, _VECTOR), alone)
+    rectified, of_bias = (
+        builder.select(_positive(code, numbers), numbers, _NONE) for numbers in (total, alone)
+    )
+    code.store(builder.fsub(rectified, of_bias), made, at)
+    return builder.bitcast(_positive(code, total), ir.IntType(FILTERS))
 
 
-@_intrinsic  # type: ignore[untyped-decorator]
-def keep(_: Any, numbers: Any, at: Any, flags: Any) -> Any:
+@function_of
+def keep(code: VectorCode, numbers: Any, at: Any, flags: Any) -> None:
     """Set those of sixteen numbers to 0 whose flag is not set."""
-
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        some = _vector(builder, _pointer(context, builder, signature.args[0], *operands[:2]))
-        flags = builder.bitcast(operands[2], ir.VectorType(ir.IntType(1), FILTERS))
-        none = ir.Constant(_VECTOR, [0.0] * FILTERS)
-        builder.store(builder.select(flags, builder.load(some, align=4), none), some, align=4)
-        return context.get_dummy_value()
-
-    return types.none(numbers, types.int64, types.uint16), generate
+    kept = code.builder.bitcast(flags, ir.VectorType(ir.IntType(1), FILTERS))
+    code.store(code.builder.select(kept, code.load(numbers, at, _VECTOR), _NONE), numbers, at)
 
 
-@_intrinsic  # type: ignore[untyped-decorator]
-def multiply(_: Any, products: Any, column: Any, width: Any, made: Any, rank: Any, weights: Any) -> Any:
+@function_of
+def multiply(
+    code: VectorCode, products: Any, column: Any, width: Any, made: Any, rank: Any, weights: Any
+) -> None:
     """Write a panel of what some kinds' ``made``, from ``rank`` on, comes to when multiplied by weights.
 
     The weights are ``(filters, width)``, and the products ``(kinds, width)``, as one axis.
     """
-
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        _, column, width, _, rank, _ = operands
-
-        def element(k: int, index: Any) -> Any:
-            return _pointer(context, builder, signature.args[k], operands[k], index)
-
-        ranks = [builder.add(rank, _INDEX(k)) for k in range(FEW)]
-        numbers = [element(3, builder.mul(one, _INDEX(FILTERS))) for one in ranks]
-        sums = [[ir.Constant(_VECTOR, [0.0] * FILTERS)] * VECTORS for _ in ranks]
-        for number in range(FILTERS):
-            start = builder.add(column, builder.mul(width, _INDEX(number)))
-            loaded = _panel(builder, element(5, start))
-            for own, total in zip(numbers, sums, strict=True):
-                factor = _sixteen(builder, builder.load(builder.gep(own, [_LANE(number)])))
-                total[:] = [
-                    _plus_product(builder, *parts, factor) for parts in zip(total, loaded, strict=True)
-                ]
+    builder, ranks = code.builder, [code.plus(rank, k) for k in range(FEW)]
+    sums = [[_NONE] * VECTORS for _ in ranks]
+    for number in range(FILTERS):
+        loaded = _panel(code, weights, builder.add(column, code.times(width, number)))
         for one, total in zip(ranks, sums, strict=True):
-            to = _vector(builder, element(0, builder.add(builder.mul(one, width), column)))
-            for k, vector in enumerate(total):
-                builder.store(vector, builder.gep(to, [_LANE(k)]), align=4)
-        return context.get_dummy_value()
-
-    return types.none(products, types.int64, types.int64, made, types.int64, weights), generate
+            factor = _factor(code, made, code.plus(code.times(one, FILTERS), number))
+            total[:] = [code.plus_product(*parts, factor) for parts in zip(total, loaded, strict=True)]
+    for one, total in zip(ranks, sums, strict=True):
+        _store_panel(code, total, products, builder.add(builder.mul(one, width), column))
 
 
-@_intrinsic  # type: ignore[untyped-decorator]
+@function_of
 def add_products(
-    _: Any, by_weights: Any, to: Any, width: Any, made: Any, of: Any, kinds: Any, sums: Any, column: Any
-) -> Any:
+    code: VectorCode,
+    by_weights: Any,
+    to: Any,
+    width: Any,
+    made: Any,
+    of: Any,
+    kinds: Any,
+    sums: Any,
+    column: Any,
+) -> None:
     """Add to the gradients by a place's weights, of a few filters and a panel, those by all kinds of squares.
 
     ``of`` is the first of the filters. ``sums``, ``(kinds, width)``, are the gradients by outputs.
     """
-
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        _, to, width, _, of, kinds, _, column = operands
-
-        def element(k: int, index: Any) -> Any:
-            return _pointer(context, builder, signature.args[k], operands[k], index)
-
-        starts = [
-            _vector(builder, element(0, builder.add(to, builder.mul(width, _INDEX(j))))) for j in range(FEW)
-        ]
-        totals = [builder.gep(start, [_LANE(k)]) for start in starts for k in range(VECTORS)]
-        kept = [_alloca(builder, _VECTOR) for _ in totals]
-        for total, one in zip(totals, kept, strict=True):
-            builder.store(builder.load(total, align=4), one)
-        with cgutils.for_range(builder, kinds) as loop:
-            loaded = _panel(builder, element(6, builder.add(builder.mul(loop.index, width), column)))
-            numbers = element(3, builder.add(of, builder.mul(loop.index, _INDEX(FILTERS))))
-            for j in range(FEW):
-                factor = _sixteen(builder, builder.load(builder.gep(numbers, [_LANE(j)])))
-                for vector, one in zip(loaded, kept[j * VECTORS : (j + 1) * VECTORS], strict=True):
-                    builder.store(_plus_product(builder, builder.load(one), vector, factor), one)
-        for total, one in zip(totals, kept, strict=True):
-            builder.store(builder.load(one), total, align=4)
-        return context.get_dummy_value()
-
-    index = types.int64
-    return types.none(by_weights, index, index, made, index, index, sums, index), generate
+    builder = code.builder
+    starts = [builder.add(to, code.times(width, j)) for j in range(FEW)]
+    totals = [[code.variable(vector) for vector in _panel(code, by_weights, start)] for start in starts]
+    with code.each(kinds) as kind:
+        loaded = _panel(code, sums, builder.add(builder.mul(kind, width), column))
+        first = builder.add(of, code.times(kind, FILTERS))
+        for j, total in enumerate(totals):
+            factor = _factor(code, made, code.plus(first, j))
+            for one, vector in zip(total, loaded, strict=True):
+                builder.store(code.plus_product(builder.load(one), vector, factor), one)
+    for start, total in zip(starts, totals, strict=True):
+        _store_panel(code, [builder.load(one) for one in total], by_weights, start)
 
 
-@_intrinsic  # type: ignore[untyped-decorator]
-def project(_: Any, by_made: Any, rank: Any, sums: Any, width: Any, weights: Any) -> Any:
+@function_of
+def project(code: VectorCode, by_made: Any, rank: Any, sums: Any, width: Any, weights: Any) -> None:
     """Write the gradients by what the filters made of some kinds of squares, from ``rank`` on.
 
     The weights are ``(width, filters)``, and ``sums``, the gradients by outputs, ``(kinds, width)``.
     """
-
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        _, rank, _, width, _ = operands
-
-        def element(k: int, index: Any) -> Any:
-            return _pointer(context, builder, signature.args[k], operands[k], index)
-
-        ranks = [builder.add(rank, _INDEX(k)) for k in range(TOGETHER)]
-        rows = [element(2, builder.mul(one, width)) for one in ranks]
-        kept = [_alloca(builder, _VECTOR) for _ in ranks]
-        for one in kept:
-            builder.store(ir.Constant(_VECTOR, [0.0] * FILTERS), one)
-        with cgutils.for_range(builder, width) as loop:
-            numbers = _vector(builder, element(4, builder.mul(loop.index, _INDEX(FILTERS))))
-            loaded = builder.load(numbers, align=4)
-            for row, one in zip(rows, kept, strict=True):
-                factor = _sixteen(builder, builder.load(builder.gep(row, [loop.index])))
-                builder.store(_plus_product(builder, builder.load(one), loaded, factor), one)
-        for rank, one in zip(ranks, kept, strict=True):
-            to = _vector(builder, element(0, builder.mul(rank, _INDEX(FILTERS))))
-            builder.store(builder.load(one), to, align=4)
-        return context.get_dummy_value()
-
-    return types.none(by_made, types.int64, sums, types.int64, weights), generate
+    builder, ranks = code.builder, [code.plus(rank, k) for k in range(TOGETHER)]
+    totals = [code.variable(_NONE) for _ in ranks]
+    with code.each(width) as output:
+        loaded = code.load(weights, code.times(output, FILTERS), _VECTOR)
+        for one, total in zip(ranks, totals, strict=True):
+            factor = _factor(code, sums, builder.add(builder.mul(one, width), output))
+            builder.store(code.plus_product(builder.load(total), loaded, factor), total)
+    for one, total in zip(ranks, totals, strict=True):
+        code.store(builder.load(total), by_made, code.times(one, FILTERS))
 
 
-@_intrinsic  # type: ignore[untyped-decorator]
-def not_zero(_: Any, elements: Any, at: Any) -> Any:
+@partial(function_of, result=types.uint64)
+def not_zero(code: VectorCode, elements: Any, at: Any) -> Any:
     """Return a bit for each of 64 bytes, from ``at`` on: whether it is not 0."""
-
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        array = context.make_array(signature.args[0])(context, builder, operands[0])
-        kind = ir.VectorType(ir.IntType(8), 64)
-        first = builder.gep(array.data, [operands[1]])
-        found = builder.load(builder.bitcast(first, kind.as_pointer()), align=1)
-        flags = builder.icmp_unsigned("!=", found, ir.Constant(kind, [0] * 64))
-        return builder.bitcast(flags, ir.IntType(64))
-
-    return types.uint64(elements, types.int64), generate
+    kind = ir.VectorType(ir.IntType(8), 64)
+    flags = code.builder.icmp_unsigned("!=", code.load(elements, at, kind), constant(kind, 0))
+    return code.builder.bitcast(flags, ir.IntType(64))
 
 
-@_intrinsic  # type: ignore[untyped-decorator]
-def lowest(_: Any, bits: Any) -> Any:
+@partial(function_of, result=types.int64)
+def lowest(code: VectorCode, bits: Any) -> Any:
     """Return the number of the lowest bit that is set, of some that are not all 0."""
-
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        return builder.cttz(operands[0], ir.Constant(ir.IntType(1), 1))
-
-    return types.int64(types.uint64), generate
+    return code.builder.cttz(bits, ir.Constant(ir.IntType(1), 1))

@@ -8,15 +8,17 @@ Matrices are multiplied by a block of sums that stay in SIMD registers, made of 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
 from numba import njit, types
-from numba.extending import intrinsic
 
 from pearl_marl.base.arrays import Array
 from pearl_marl.compiler.loading import compiled_loop
+from pearl_marl.policies import vector_code
+from pearl_marl.policies.vector_code import INDEX, VectorCode, function_of
 
 ROWS = 64
 """Rows that go through all layers at once."""
@@ -26,8 +28,6 @@ HIGH, WIDE = 8, 16
 
 _FLOAT = ir.FloatType()
 _VECTOR = ir.VectorType(_FLOAT, WIDE)
-_INDEX = ir.IntType(64)
-
 
 Vector = Annotated[Array, types.Array(types.float32, 1, "C")]
 Matrix = Annotated[Array, types.Array(types.float32, 2, "C")]
@@ -63,70 +63,41 @@ class NetworkInputs(NamedTuple):
         return self._replace(x=self.x[rows], numbers=self.numbers[rows], position=position)
 
 
-_intrinsic: Any = intrinsic
-
-
-@_intrinsic  # type: ignore[untyped-decorator]
-def _block(_: Any, c: Any, a: Any, b: Any, at: Any) -> Any:
+@function_of
+def _block(code: VectorCode, c: Any, a: Any, b: Any, at: Any) -> None:
     """Add to a block of ``c`` the product of eight rows of ``a`` and sixteen columns of ``b``.
 
     ``at`` says where: first and width of ``c``; first of ``a`` and how far it is to the next row and column;
     first of ``b`` and how far to the next row; the number of products to add.
     """
-
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        arrays = zip(signature.args[:3], operands[:3], strict=True)
-        sums, left, right = (context.make_array(of)(context, builder, array).data for of, array in arrays)
-        c0, width, a0, down, along, b0, across, depth = (
-            builder.extract_value(operands[3], k) for k in range(8)
-        )
-
-        def times(number: Any, constant: int) -> Any:
-            return builder.mul(number, _INDEX(constant))
-
-        def vector(of: Any, index: Any) -> Any:
-            return builder.bitcast(builder.gep(of, [index]), _VECTOR.as_pointer())
-
-        rows = [vector(sums, builder.add(c0, times(width, row))) for row in range(HIGH)]
-        before = [builder.load(row, align=4) for row in rows]
-        outside = builder.block
-        body, after = builder.append_basic_block("sum"), builder.append_basic_block("summed")
-        builder.branch(body)
-        builder.position_at_end(body)
-        k = builder.phi(_INDEX)
-        totals = [builder.phi(_VECTOR) for _ in rows]
-        k.add_incoming(_INDEX(0), outside)
-        columns = builder.load(vector(right, builder.add(b0, builder.mul(k, across))), align=4)
-        start, summed = builder.add(a0, builder.mul(k, along)), []
-        for row, (total, old) in enumerate(zip(totals, before, strict=True)):
-            factor = builder.load(builder.gep(left, [builder.add(start, times(down, row))]))
-            spread = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), factor, ir.IntType(32)(0))
-            zeros = ir.Constant(ir.VectorType(ir.IntType(32), WIDE), [0] * WIDE)
-            spread = builder.shuffle_vector(spread, ir.Constant(_VECTOR, ir.Undefined), zeros)
-            product = builder.fmul(spread, columns, flags=["contract"])
-            summed.append(builder.fadd(total, product, flags=["contract"]))
-            total.add_incoming(old, outside)
-            total.add_incoming(summed[-1], body)
-        following = builder.add(k, _INDEX(1))
-        k.add_incoming(following, body)
-        builder.cbranch(builder.icmp_signed("<", following, depth), body, after)
-        builder.position_at_end(after)
-        for row, total in zip(rows, summed, strict=True):
-            builder.store(total, row, align=4)
-        return context.get_dummy_value()
-
-    return types.void(c, a, b, at), generate
+    builder, (c0, width, a0, down, along, b0, across, depth) = code.builder, at
+    rows = [builder.add(c0, code.times(width, row)) for row in range(HIGH)]
+    before, outside = [code.load(c, row, _VECTOR) for row in rows], builder.block
+    body, after = builder.append_basic_block("sum"), builder.append_basic_block("summed")
+    builder.branch(body)
+    builder.position_at_end(body)
+    # Not a loop over variables: where registers are few, LLVM would spill more of them.
+    k, totals = builder.phi(INDEX), [builder.phi(_VECTOR) for _ in rows]
+    columns = code.load(b, builder.add(b0, builder.mul(k, across)), _VECTOR)
+    start, summed = builder.add(a0, builder.mul(k, along)), []
+    for row, total in enumerate(totals):
+        factor = code.spread(code.load(a, builder.add(start, code.times(down, row)), _FLOAT), WIDE)
+        summed.append(code.plus_product(total, columns, factor))
+    following = code.plus(k, 1)
+    for phi, first, new in zip((k, *totals), (INDEX(0), *before), (following, *summed), strict=True):
+        phi.add_incoming(first, outside)
+        phi.add_incoming(new, body)
+    builder.cbranch(builder.icmp_signed("<", following, depth), body, after)
+    builder.position_at_end(after)
+    for row, total in zip(rows, summed, strict=True):
+        code.store(total, c, row)
 
 
-@_intrinsic  # type: ignore[untyped-decorator]
-def _power_of_two(_: Any, exponent: Any) -> Any:
+@partial(function_of, result=types.float32)
+def _power_of_two(code: VectorCode, exponent: Any) -> Any:
     """Return two to the power of an ``int32``, as a ``float32``."""
-
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        bits = builder.shl(builder.add(operands[0], ir.IntType(32)(127)), ir.IntType(32)(23))
-        return builder.bitcast(bits, _FLOAT)
-
-    return types.float32(types.int32), generate
+    builder, bits = code.builder, ir.IntType(32)
+    return builder.bitcast(builder.shl(builder.add(exponent, bits(127)), bits(23)), _FLOAT)
 
 
 ARITHMETIC: Any = {"error_model": "numpy", "fastmath": {"contract"}}
@@ -475,7 +446,9 @@ def _backward(layers: Layers, observed: NetworkInputs, by_outputs: Array, gradie
     store_gradients(total, gradients)
 
 
-forward: Callable[[], Callable[[Layers, NetworkInputs, Array], None]] = compiled_loop(_forward, fused=True)
+forward: Callable[[], Callable[[Layers, NetworkInputs, Array], None]] = compiled_loop(
+    _forward, vector_code, fused=True
+)
 backward: Callable[[], Callable[[Layers, NetworkInputs, Array, Layers], None]] = compiled_loop(
-    _backward, fused=True
+    _backward, vector_code, fused=True
 )
