@@ -51,6 +51,7 @@ SPARE = 64
 
 _inlined: Callable[..., Any] = njit(forceinline=True)
 _compiled: Callable[..., Any] = njit(nogil=True, error_model="numpy")
+_contracted: Callable[..., Any] = njit(nogil=True, fastmath={"contract"})
 
 
 @_inlined
@@ -116,6 +117,7 @@ def _keys(channels: int) -> Array:
     return np.random.default_rng(0).integers(1, 1 << 63, SIDE * SIDE * channels, np.uint64)
 
 
+@_compiled
 def _hash(elements: Array, layer: FilterLayer, lines: Lines, hashes: Array) -> None:
     """Write a hash of each square in some lines of the pictures ``elements``: 0 of one that is empty.
 
@@ -140,6 +142,7 @@ def _hash(elements: Array, layer: FilterLayer, lines: Lines, hashes: Array) -> N
                 hashes[(row - lines.first) * (columns - 2) + column, i] = hash_of
 
 
+@_compiled
 def _find_kinds(hashes: Array, kinds: Kinds) -> tuple[int, int]:
     """Find the kinds of one place's squares; return how many they are, and how many squares are not empty."""
     table, slots = kinds.table, kinds.slots
@@ -173,6 +176,7 @@ def _elements_of(elements: Array, layer: FilterLayer, start: int, found: Array) 
     return known
 
 
+@_compiled
 def _filter(elements: Array, layer: FilterLayer, first: int, kinds: Kinds, count: int) -> None:
     """Write what the filters make of the kinds of squares that begin ``first`` elements after a picture."""
     sums, found = np.empty(FILTERS, np.float32), np.empty(len(layer.keys), np.int64)
@@ -184,6 +188,7 @@ def _filter(elements: Array, layer: FilterLayer, first: int, kinds: Kinds, count
         kinds.flags[rank] = rectify(kinds.made, rank * FILTERS, sums, 0, layer.bias)
 
 
+@_compiled
 def _filter_gradients(
     elements: Array,
     layer: FilterLayer,
@@ -201,6 +206,7 @@ def _filter_gradients(
             add(by_filters, found[number] * FILTERS, by_made, rank * FILTERS)
 
 
+@_compiled
 def _no_kinds(size: int) -> Kinds:
     """Return arrays for the kinds of so many squares.
 
@@ -220,11 +226,7 @@ def _no_kinds(size: int) -> Kinds:
     )
 
 
-_hash_of, _find_kinds_of, _filter_of, _filter_gradients_of, _no_kinds_of = (
-    _compiled(part) for part in (_hash, _find_kinds, _filter, _filter_gradients, _no_kinds)
-)
-
-
+@_compiled
 def _arranged(weights: Array, width: int, begin: int, count: int, by_filter: bool) -> Array:
     """Return weights ``(outputs, places * filters)`` of ``count`` places, from ``begin`` on.
 
@@ -239,6 +241,7 @@ def _arranged(weights: Array, width: int, begin: int, count: int, by_filter: boo
     return found
 
 
+@_contracted
 def _add_empty(
     by_weights: Array, width: int, begin: int, of_empty: Array, total: Array, by_linear: Array
 ) -> None:
@@ -248,10 +251,6 @@ def _add_empty(
             for number in range(square * FILTERS, (square + 1) * FILTERS):
                 to = begin * FILTERS + number
                 by_linear[output, to] = by_weights[number * width + output] + total[output] * of_empty[to]
-
-
-_arranged_of = _compiled(_arranged)
-_add_empty_of: Callable[..., None] = njit(nogil=True, fastmath={"contract"})(_add_empty)
 
 
 @_inlined
@@ -275,20 +274,20 @@ def _outputs(
     ``linear`` are its weights, and ``outputs`` are ``(pictures, width)``, of whole panels. Of ``elements``,
     :data:`SPARE` more have to be there.
     """
-    width, kinds, (begin, squares) = outputs.shape[1], _no_kinds_of(size), _places_in(layer, lines)
-    weights = _arranged_of(linear, width, begin, squares, True)
+    width, kinds, (begin, squares) = outputs.shape[1], _no_kinds(size), _places_in(layer, lines)
+    weights = _arranged(linear, width, begin, squares, True)
     # With a few columns more, a picture's hashes do not all fall into the same set of the cache.
     hashes = np.empty((squares, size + TOGETHER), np.uint64)
     products = np.empty(size * width, np.float32)
     for start in range(0, len(outputs), size):
         rows, n = outputs[start : start + size].ravel(), min(size, len(outputs) - start)
         some = elements[start * len(layer.places) :]
-        _hash_of(some, layer, lines, hashes[:, :n])
+        _hash(some, layer, lines, hashes[:, :n])
         for i in range(n):
             rows[i * width : (i + 1) * width] = of_empty
         for square in range(squares):
-            count, members = _find_kinds_of(hashes[square, :n], kinds)
-            _filter_of(some, layer, layer.begins[begin + square], kinds, count)
+            count, members = _find_kinds(hashes[square, :n], kinds)
+            _filter(some, layer, layer.begins[begin + square], kinds, count)
             for rank in range(0, count, FEW):
                 for column in range(0, width, PANEL):
                     multiply(products, column, width, kinds.made, rank, weights[square])
@@ -319,8 +318,8 @@ def _gradients(
     gradients by the filters' biases; the others are what they would add if they were empty, and the biases
     above 0.
     """
-    width, kinds, (begin, squares) = by_outputs.shape[1], _no_kinds_of(size), _places_in(layer, lines)
-    weights = _arranged_of(linear, width, begin, squares, False)
+    width, kinds, (begin, squares) = by_outputs.shape[1], _no_kinds(size), _places_in(layer, lines)
+    weights = _arranged(linear, width, begin, squares, False)
     by_weights = np.zeros(weights.size, np.float32)
     # With a few columns more, a picture's hashes do not all fall into the same set of the cache.
     hashes = np.empty((squares, size + TOGETHER), np.uint64)
@@ -328,10 +327,10 @@ def _gradients(
     for start in range(0, len(by_outputs), size):
         by, n = by_outputs[start : start + size].ravel(), min(size, len(by_outputs) - start)
         some = elements[start * len(layer.places) :]
-        _hash_of(some, layer, lines, hashes[:, :n])
+        _hash(some, layer, lines, hashes[:, :n])
         for square in range(squares):
-            count, members = _find_kinds_of(hashes[square, :n], kinds)
-            _filter_of(some, layer, layer.begins[begin + square], kinds, count)
+            count, members = _find_kinds(hashes[square, :n], kinds)
+            _filter(some, layer, layer.begins[begin + square], kinds, count)
             sums[: count * width] = 0
             for k in range(members):
                 at, of = kinds.ranks[k] * width, kinds.members[k] * width
@@ -347,8 +346,8 @@ def _gradients(
                 add(by_biases, FILTERS, by_made, rank * FILTERS)
                 keep(by_made, rank * FILTERS, kinds.flags[rank])
                 add(by_biases, 0, by_made, rank * FILTERS)
-            _filter_gradients_of(some, layer, layer.begins[begin + square], kinds, count, by_made, by_filters)
-    _add_empty_of(by_weights, width, begin, of_empty, total, by_linear)
+            _filter_gradients(some, layer, layer.begins[begin + square], kinds, count, by_made, by_filters)
+    _add_empty(by_weights, width, begin, of_empty, total, by_linear)
 
 
 _outputs_of = compiled_loop(_outputs, convolution_vectors, vector_code)
