@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import zlib
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numba
@@ -135,15 +135,14 @@ def compiled(policy: GoldenPolicy, elements: np.dtype[Any]) -> CompiledPolicy:
     """Return a policy as a rollout calls it; its elements have one dtype only."""
     parts = policy.source, inspect.getsource(scalar_words), numba.__version__, np.__version__
     digest = hashlib.sha256(repr(parts).encode()).hexdigest()
-    name = f"{policy.spec.name}_act_{digest[:16]}"
-    if name not in _loaded:
-        inlined = partial(numba.njit, error_model="numpy", forceinline=True)
-        words = {name: inlined(operation) for name, operation in scalar_words.operations().items()}
-        module, _ = load(name, policy.source, inlined=inlined, **words)
-        _loaded[name] = kept_code(numba.njit(nogil=True, error_model="numpy")(module.act_all), name)
-    act = _loaded[name]
+    act = _loaded(f"{policy.spec.name}_act_{digest[:16]}", policy.source)
     return CompiledPolicy(address_of(act, *ACT_ARGUMENTS), np.zeros(1, np.int64), policy.draws, act)
 
 
-_loaded: dict[str, Any] = {}
-"""By name, which is a hash of all that the code depends on."""
+@cache
+def _loaded(name: str, source: str) -> Any:
+    """Return a policy's loop; its name is a hash of all that the code depends on."""
+    inlined = partial(numba.njit, error_model="numpy", forceinline=True)
+    words = {name: inlined(operation) for name, operation in scalar_words.operations().items()}
+    module, _ = load(name, source, inlined=inlined, **words)
+    return kept_code(numba.njit(nogil=True, error_model="numpy")(module.act_all), name)
