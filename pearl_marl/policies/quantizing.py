@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import torch
@@ -73,18 +72,16 @@ def quantized(
     checked_integer("activation_bits", activation_bits, *BITS)
     check_quantizable(policy)
     if isinstance(policy, TabularPolicy):
-        return _of_table(policy)
+        ranks = np.stack([np.unique(row, return_inverse=True)[1] for row in policy.values[0].numpy()])
+        return table_network(policy.spec, ranks)
     most_weight, most = ((1 << bits - 1) - 1 for bits in (weight_bits, activation_bits))
     network: Any = policy.network
-    if isinstance(network, SeparateNetworks):
-        agents = policy.spec.agents
-        return AgentNetworks(
-            tuple(
-                _Quantizing(policy, own, observations[k::agents], most_weight, most).network()
-                for k, own in enumerate(cast(Iterable[Network], network))
-            )
-        )
-    return _Quantizing(policy, network, observations, most_weight, most).network()
+    each = network if isinstance(network, SeparateNetworks) else [network]
+    made = tuple(
+        _Quantizing(policy, own, observations[k :: len(each)], most_weight, most).network()
+        for k, own in enumerate(each)
+    )
+    return AgentNetworks(made) if isinstance(network, SeparateNetworks) else made[0]
 
 
 def check_quantizable(policy: NetworkPolicy | TabularPolicy) -> None:
@@ -108,13 +105,6 @@ def check_quantizable(policy: NetworkPolicy | TabularPolicy) -> None:
         raise ArgumentError(f"the policy cannot become one in integers: {why}")
 
 
-def _of_table(policy: TabularPolicy) -> IntegerNetwork:
-    """Return a table of action values as integers, in the order of the values."""
-    values = policy.values[0].numpy()
-    ranks = np.stack([np.unique(row, return_inverse=True)[1] for row in values])
-    return table_network(policy.spec, ranks)
-
-
 class _Quantizing:
     """A network on its way to integers.
 
@@ -134,7 +124,9 @@ class _Quantizing:
         float_, encoder = self.float, self.float.encoder
         inputs: Scaling | Rows | Patches
         relu = encoder.kind == "picture"
-        indicator = None if float_.indicator is None else float_.indicator.weight.numpy()
+        indicator = np.zeros((0, float_.hidden.in_features))
+        if float_.indicator is not None:
+            indicator = float_.indicator.weight.numpy()
         if encoder.kind == "numbers":
             table = encoder.table.weight.numpy()
             scale = self.most_weight / _greatest(table, indicator)
@@ -149,9 +141,7 @@ class _Quantizing:
             inputs, rest = self._scaling()
             (weights, bias), scale = self._weights(encoder.linear, float(INPUT_STEPS), tanh=True)
             first = weights, bias + encoder.linear.weight.double().numpy() @ rest
-        layers, added = [], None
-        if indicator is not None:
-            added = np.rint(indicator * scale).astype(np.int32)
+        layers, added = [], np.rint(indicator * scale).astype(np.int32)
         hidden = self._hidden() if relu else [None, None]
         weights, bias = first
         for k, following in enumerate((float_.hidden, float_.output)):
@@ -160,8 +150,6 @@ class _Quantizing:
             last = following is float_.output
             (weights, bias), scale = self._weights(following, made, tanh=not relu and not last)
         layers.append(Dense(weights, np.rint(bias * scale).astype(np.int32)))
-        if added is None:
-            added = np.zeros((0, len(layers[0].bias)), np.int32)
         return IntegerNetwork(self.spec, inputs, added, tuple(layers), self._head(scale))
 
     def _weights(
@@ -205,15 +193,13 @@ class _Quantizing:
         offset = np.rint(mean * 2.0**fractions).astype(np.int64)
         # Shifting rounds down, by half a step on average.
         rest = ((offset - mean * 2.0**fractions) * per_element + 0.5) / INPUT_STEPS
-        farthest = float(dense.FARTHEST)
-        return Scaling(offset, multiplier, shift, dense.FARTHEST * INPUT_STEPS), rest.clip(
-            -farthest, farthest
-        )
+        scaling = Scaling(offset, multiplier, shift, dense.FARTHEST * INPUT_STEPS)
+        return scaling, rest.clip(-dense.FARTHEST, dense.FARTHEST)
 
     def _patches(self) -> tuple[Patches, float]:
         """Return what pictures go through first, and the scale of what comes of it."""
         convolution = self.float.encoder.convolution
-        weights, bias = convolution.weight.numpy(), _numbers(convolution.bias)
+        weights, bias, *_ = (tensor.numpy() for tensor in self.float.encoder.picture_weights())
         fraction = max(self.spec.element_fractions)
         element_shift = max(0, fraction - PICTURE_FRACTION)
         of_weights = self.most_weight / _greatest(weights)
@@ -267,17 +253,9 @@ class _Quantizing:
         return Head(spec.action_counts, shift, np.rint(65535 * np.exp(-distances)).astype(np.int32))
 
 
-def _numbers(tensor: torch.Tensor | None) -> Array:
-    assert tensor is not None
-    array: Array = tensor.numpy()
-    return array
-
-
-def _greatest(*arrays: Array | None) -> float:
+def _greatest(*arrays: Array) -> float:
     """Return the greatest size of a number in some arrays, or 1 where all are 0."""
-    return (
-        max((float(np.abs(array).max(initial=0)) for array in arrays if array is not None), default=0) or 1.0
-    )
+    return max(float(np.abs(array).max(initial=0)) for array in arrays) or 1.0
 
 
 def _reached(sums: torch.Tensor) -> float:
