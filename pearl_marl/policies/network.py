@@ -190,8 +190,7 @@ class Encoder(nn.Module):
 
     def picture_weights(self) -> tuple[Tensor, ...]:
         """Return those that pictures go through: of the filters, and of the linear layer."""
-        layers: tuple[Any, ...] = self.convolution, self.linear
-        return tuple(tensor for layer in layers for tensor in (layer.weight, layer.bias))
+        return (*self.convolution.parameters(), *self.linear.parameters())
 
     def numbers(self, obs: Tensor) -> Tensor:
         """Return the rows of the table that observations choose, shape ``(batch, parts)``."""
@@ -316,17 +315,18 @@ class Network(nn.Module):
         return dense.Layers(*arrays, self.layer_norm, encoder.kind == "picture")  # type: ignore[call-arg, arg-type]
 
     def observed(self, obs: Tensor, position: Tensor | None) -> dense.NetworkInputs:
-        """Return observations as compiled loops take them."""
+        """Return observations as compiled loops take them; of pictures, rows of a table that is yet to be."""
         encoder, n = self.encoder, len(obs)
-        obs = encoder.whole(obs)
         mean = scale = np.empty(0, np.float32)
         x, numbers = np.empty((n, 0), np.float32), np.empty((n, 0), np.int64)
         positions = np.empty(0, np.int64)
         if encoder.kind == "numbers":
-            numbers = encoder.numbers(obs).contiguous().numpy()
+            numbers = encoder.numbers(encoder.whole(obs)).contiguous().numpy()
+        elif encoder.kind == "picture":
+            numbers = np.zeros((n, 1), np.int64)
         else:
             mean, scale = (tensor.numpy() for tensor in encoder.statistics())
-            x = obs.reshape(n, len(mean)).float().contiguous().numpy()
+            x = encoder.whole(obs).reshape(n, len(mean)).float().contiguous().numpy()
         if self.indicator is not None:
             positions = torch.as_tensor(position).contiguous().numpy()
         return dense.NetworkInputs(x, mean, scale, numbers, positions)
@@ -356,12 +356,7 @@ class Pictures:
     def __init__(self, network: Network, obs: Tensor, position: Tensor | None) -> None:
         self._network, self._obs = network, obs
         self._layers = network.layers(made=_EMPTY)
-        self._numbers = np.zeros((len(obs), 1), np.int64)
-        none, nothing = np.empty(0, np.float32), np.empty((len(obs), 0), np.float32)
-        positions = np.empty(0, np.int64)
-        if network.indicator is not None:
-            positions = torch.as_tensor(position).contiguous().numpy()
-        self.inputs = dense.NetworkInputs(nothing, none, none, self._numbers, positions)
+        self.inputs = network.observed(obs, position)
 
     def gradients(self, instead: Mapping[Tensor, Tensor]) -> PictureGradients:
         """Return where gradients go: to the tensors that stand for the weights."""
@@ -379,7 +374,7 @@ class Pictures:
         encoder = self._network.encoder
         filters, filter_bias, weights, bias = (parameter.detach() for parameter in encoder.picture_weights())
         planes = Planes(encoder.elements(self._obs, rows), encoder.shape, filters, filter_bias)
-        self._numbers[rows, 0] = np.arange(len(rows))
+        self.inputs.numbers[rows, 0] = np.arange(len(rows))
         made = planes.outputs(weights, bias).numpy()
         by_made = np.empty_like(made)
         yield self._layers._replace(table=made), gradients.others._replace(table=by_made)
