@@ -24,6 +24,7 @@ from pearl_marl.policies.device_policy import (
     ActionChoice,
     CompiledPolicy,
     DevicePolicy,
+    best_of_fields,
 )
 from pearl_marl.policies.integer_vectors import take
 from pearl_marl.spec import EnvSpec
@@ -67,9 +68,7 @@ class DenseNetwork(DevicePolicy):
         dense.forward()(self.layers, NetworkInputs(x, self.mean, self.scale, numbers, position), outputs)
         if masks is not None:
             outputs = np.where(masks, outputs, -np.inf)
-        ends = np.cumsum(self.counts)
-        fields = [outputs[:, end - n : end].argmax(1) for end, n in zip(ends, self.counts, strict=True)]
-        return ActionChoice(np.stack(fields, 1), None)
+        return ActionChoice(best_of_fields(outputs, self.counts), None)
 
 
 class DenseFields(NamedTuple):

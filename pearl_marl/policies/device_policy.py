@@ -10,6 +10,7 @@ so that a rollout is what single steps would have been.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,6 +54,12 @@ class CompiledPolicy(NamedTuple):
     def arguments(self) -> tuple[int, int, int]:
         """What the loop is given."""
         return self.act, self.memory.ctypes.data, self.draws
+
+
+def best_of_fields(outputs: Array, counts: Sequence[int]) -> Array:
+    """Return the number of the greatest output of each field, of so many outputs, ``(n, fields)``."""
+    fields = np.split(outputs, np.cumsum(counts)[:-1], 1)
+    return np.stack([field.argmax(1) for field in fields], 1)
 
 
 ACT_ARGUMENTS = (

@@ -18,7 +18,7 @@ from pearl_marl.compiler import addresses
 from pearl_marl.compiler.addresses import address_of, call_act, fields_at, in_memory
 from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.policies import integer_vectors, vector_code
-from pearl_marl.policies.device_policy import ACT_ARGUMENTS, CompiledPolicy
+from pearl_marl.policies.device_policy import ACT_ARGUMENTS, CompiledPolicy, best_of_fields
 from pearl_marl.policies.integer_network import (
     ENTRIES,
     AgentNetworks,
@@ -103,7 +103,8 @@ def prepared(network: IntegerNetwork, dtype: np.dtype[Any]) -> Prepared:
     if isinstance(inputs, Rows):
         kind = LOOKED_UP
         if _row_decides(network):
-            kind, picks = PICKED, _picks(parts["table"] + layers[0].bias.astype(np.int64), head)
+            logits = parts["table"] + layers[0].bias.astype(np.int64)
+            kind, picks = PICKED, best_of_fields(logits, parts["counts"]).astype(np.int32)
     elif isinstance(inputs, Patches):
         kind = PLANES
         filters = np.array(inputs.weights.transpose(3, 1, 2, 0)[:, :, ::-1], np.int32, order="C")
@@ -176,14 +177,6 @@ def _row_decides(network: IntegerNetwork) -> bool:
         and isinstance(head, Head)
         and not len(head.weights)
     )
-
-
-def _picks(logits: Array, head: Head | Levels) -> Array:
-    """Return the action of each row of logits."""
-    assert isinstance(head, Head)
-    ends = np.cumsum(head.counts)
-    fields = [logits[:, end - count : end].argmax(1) for end, count in zip(ends, head.counts, strict=True)]
-    return np.stack(fields, 1).astype(np.int32)
 
 
 _FOR_LOOPS: Any = {

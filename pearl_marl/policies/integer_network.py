@@ -138,11 +138,9 @@ class IntegerNetwork(DevicePolicy):
             head = self.head
             words = (sums.astype(np.int64) * head.multiplier + head.offset) >> head.shift
             return ActionChoice(words.clip(head.low, head.high), None)
-        words, start = np.empty((len(sums), len(self.head.counts)), np.int64), 0
-        for field, count in enumerate(self.head.counts):
-            drawn = draws[:, field] if self.draws else None
-            words[:, field] = self._chosen(sums[:, start : start + count], masks, drawn)
-            start += count
+        words = np.empty((len(sums), len(self.head.counts)), np.int64)
+        for field, logits in enumerate(np.split(sums, np.cumsum(self.head.counts)[:-1], 1)):
+            words[:, field] = self._chosen(logits, masks, draws[:, field] if self.draws else None)
         return ActionChoice(words, sums)
 
     def sums(self, elements: Array, agents: Array) -> npt.NDArray[np.int32]:
