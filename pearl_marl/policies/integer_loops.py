@@ -21,6 +21,7 @@ from pearl_marl.policies import integer_vectors, vector_code
 from pearl_marl.policies.device_policy import ACT_ARGUMENTS, CompiledPolicy, best_of_fields
 from pearl_marl.policies.integer_network import (
     ENTRIES,
+    HALF,
     AgentNetworks,
     Dense,
     Head,
@@ -31,7 +32,6 @@ from pearl_marl.policies.integer_network import (
     loop_parts,
 )
 from pearl_marl.policies.integer_vectors import (
-    HALF,
     HIGH,
     TILE,
     pairs_gathered,

@@ -24,8 +24,10 @@ from pearl_marl.spec.elements import bounds
 ENTRIES = 1024
 """Numbers in a table: of activations for sums from -512 on, of weights for distances from 0 on."""
 
-PRODUCT_BITS = 16
-"""Width of weights and of what they are multiplied by, sign included."""
+HALF = ENTRIES // 2
+
+MOST = (1 << 15) - 1
+"""The greatest of weights and of what they are multiplied by, which have 16 bits, sign included."""
 
 SUM_BITS = 32
 """Width of sums, sign included."""
@@ -157,9 +159,8 @@ class IntegerNetwork(DevicePolicy):
         first: Array | int = 0
         match inputs:
             case Scaling():
-                x = ((x - inputs.offset) * inputs.multiplier >> inputs.shift).clip(
-                    -inputs.limit, inputs.limit
-                )
+                x = (x - inputs.offset) * inputs.multiplier >> inputs.shift
+                x = x.clip(-inputs.limit, inputs.limit)
             case Rows():
                 first, x = inputs.table[x @ inputs.factors.T + inputs.first].sum(1, np.int64), x[:, :0]
             case Patches():
@@ -172,9 +173,7 @@ class IntegerNetwork(DevicePolicy):
             if k + 1 < len(self.layers):
                 x = sums >> layer.shift
                 if len(layer.activation):
-                    x = layer.activation[x.clip(-ENTRIES // 2, ENTRIES // 2 - 1) + ENTRIES // 2].astype(
-                        np.int64
-                    )
+                    x = layer.activation[x.clip(-HALF, HALF - 1) + HALF].astype(np.int64)
                 else:
                     x = x.clip(0, layer.limit)
         return sums
@@ -384,10 +383,8 @@ def _check(network: IntegerNetwork) -> None:
                     refuse(f"{name} has the shape {array.shape}, and an observation {elements} elements")
             within("a multiplier", inputs.multiplier, (1 << 31) - 1)
             within("a shift", inputs.shift, 62)
-            if not 1 <= inputs.limit < 1 << PRODUCT_BITS - 1:
-                refuse(
-                    f"the limit of inputs is {inputs.limit}; possible are 1 to {(1 << PRODUCT_BITS - 1) - 1}"
-                )
+            if not 1 <= inputs.limit <= MOST:
+                refuse(f"the limit of inputs is {inputs.limit}; possible are 1 to {MOST}")
             added: Array | int = 0
         case Rows():
             width, most = 0, np.zeros(0, np.int64)
@@ -413,12 +410,9 @@ def _check(network: IntegerNetwork) -> None:
                 refuse(f"elements are shifted by {inputs.element_shift}; possible are 0 to {fraction}")
             if why := no_planes(spec):
                 refuse(why)
-            greatest = bounds(spec.observation_space)[1].max((0, 1)) * 2.0 ** (
-                fraction - inputs.element_shift
-            )
-            sums = np.abs(inputs.weights.astype(np.float64)).sum((1, 2)) @ greatest + np.abs(
-                inputs.bias.astype(np.float64)
-            )
+            reached = bounds(spec.observation_space)[1].max((0, 1)) * 2.0 ** (fraction - inputs.element_shift)
+            weights, bias = (np.abs(array.astype(np.float64)) for array in (inputs.weights, inputs.bias))
+            sums = weights.sum((1, 2)) @ reached + bias
             if sums.max() >= 1 << SUM_BITS - 1:
                 refuse(
                     f"sums of patches may reach {sums.max():,.0f}, and have {SUM_BITS} bits: take weights of "
@@ -443,15 +437,10 @@ def _check(network: IntegerNetwork) -> None:
                 refuse(
                     f"layer {k} has a table of shape {layer.activation.shape}; it takes {ENTRIES:,} numbers"
                 )
-            limit = (
-                layer.limit
-                if not len(layer.activation)
-                else int(np.abs(layer.activation.astype(np.int64)).max())
-            )
-            if not 0 <= limit < 1 << PRODUCT_BITS - 1:
-                refuse(
-                    f"what layer {k} makes may reach {limit}; possible are 0 to {(1 << PRODUCT_BITS - 1) - 1}"
-                )
+            table = np.abs(layer.activation.astype(np.int64))
+            limit = int(table.max()) if len(table) else layer.limit
+            if not 0 <= limit <= MOST:
+                refuse(f"what layer {k} makes may reach {limit}; possible are 0 to {MOST}")
             width, added, most = len(layer.bias), 0, np.full(len(layer.bias), limit)
     outputs, head = len(layers[-1].bias), network.head
     if isinstance(head, Levels):

@@ -13,15 +13,13 @@ import numpy as np
 from pearl_marl.base.arrays import Array
 from pearl_marl.golden.rng import CHAIN_A, CHAIN_B, draw, key
 from pearl_marl.policies.device_policy import FIRST_DRAW
-from pearl_marl.policies.integer_network import ENTRIES, IntegerNetwork, Patches, loop_parts
+from pearl_marl.policies.integer_network import ENTRIES, HALF, IntegerNetwork, Patches, loop_parts
 
 SIDE = 3
 """Rows and columns of a patch."""
 
 HIGH = 4
 """Outputs whose sums a thread keeps in registers."""
-
-HALF = ENTRIES // 2
 
 
 class ThreadNetwork(NamedTuple):

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 from llvmlite import ir
 from numba.core.registry import cpu_target
 
-from pearl_marl.policies.integer_network import ENTRIES
+from pearl_marl.policies.integer_network import HALF
 from pearl_marl.policies.vector_code import INDEX, VectorCode, constant, function_of
 
 TILE = 64
@@ -23,8 +23,6 @@ TILE = 64
 
 LANES, VECTORS, HIGH = 16, TILE // 16, 4
 """Words of a vector; vectors of a tile's row; outputs whose sums are kept in registers."""
-
-HALF = ENTRIES // 2
 
 _WORD = ir.IntType(32)
 _WORDS = ir.VectorType(_WORD, LANES)

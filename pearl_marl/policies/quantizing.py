@@ -14,6 +14,7 @@ from pearl_marl.errors import ArgumentError
 from pearl_marl.policies import dense
 from pearl_marl.policies.integer_network import (
     ENTRIES,
+    HALF,
     AgentNetworks,
     Dense,
     Head,
@@ -174,7 +175,7 @@ class _Quantizing:
         sums = np.rint(bias * scale).astype(np.int32)
         if reached is None:
             shift = max(0, round(math.log2(scale / ACTIVATION_STEPS)))
-            middles = (np.arange(ENTRIES) - ENTRIES // 2 + 0.5) * 2.0**shift / scale
+            middles = (np.arange(ENTRIES) - HALF + 0.5) * 2.0**shift / scale
             table = np.rint(self.most * np.tanh(middles)).astype(np.int16)
             return Dense(weights, sums, shift, table), float(self.most)
         shift = max(0, math.ceil(math.log2(reached * scale / self.most)))
