@@ -446,9 +446,5 @@ def _backward(layers: Layers, observed: NetworkInputs, by_outputs: Array, gradie
     store_gradients(total, gradients)
 
 
-forward: Callable[[], Callable[[Layers, NetworkInputs, Array], None]] = compiled_loop(
-    _forward, vector_code, fused=True
-)
-backward: Callable[[], Callable[[Layers, NetworkInputs, Array, Layers], None]] = compiled_loop(
-    _backward, vector_code, fused=True
-)
+forward = compiled_loop(_forward, vector_code, fused=True)
+backward = compiled_loop(_backward, vector_code, fused=True)

@@ -90,14 +90,6 @@ def _written(network: IntegerNetwork) -> tuple[dict[str, Any], dict[str, Array]]
     return about, tensors
 
 
-def is_one(path: Path) -> bool:
-    """Return whether a policy's file is of a policy in integers; refuse a damaged one."""
-    from pearl_marl.policies import policy_file
-
-    about, _ = policy_file.read(path)
-    return isinstance(about, dict) and about.get("kind") == KIND
-
-
 def load_policy(path: str | Path) -> IntegerNetwork | AgentNetworks:
     """Read a policy that devices can run, for ``rollout()``: a file, or the one in a run folder.
 

@@ -245,9 +245,11 @@ def _check_space(path: Path, what: str, theirs: Any, ours: Any) -> None:
 def _trained(path: Path, spec: EnvSpec, seed: int) -> Policy | DevicePolicy:
     found: Any
     try:
-        from pearl_marl.policies import integer_file, trained  # which take torch
+        from pearl_marl.policies import integer_file, policy_file, trained  # which take torch
 
-        found = integer_file.load_policy(path) if integer_file.is_one(path) else trained.load(path)
+        about, _ = policy_file.read(path)
+        in_integers = isinstance(about, dict) and about.get("kind") == integer_file.KIND
+        found = integer_file.load_policy(path) if in_integers else trained.load(path)
     except ModuleNotFoundError as error:
         raise ArgumentError(f"{path} takes {error.name}: pip install '.[train]'") from None
     _check_space(path, "observations", found.spec.observation_space, spec.observation_space)
