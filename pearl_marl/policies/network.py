@@ -179,7 +179,9 @@ class Encoder(nn.Module):
             return found.sum(1) + self.bias
         features: Tensor
         if self.kind == "vector":
-            features = self.linear(self.standardised(obs))
+            mean, scale = self.statistics()
+            rows = obs.reshape(len(obs), self.mean.numel())
+            features = self.linear(((rows - mean) * scale).clamp(-dense.FARTHEST, dense.FARTHEST))
         elif self.linear.weight.is_cuda or not self.planes or obs.element_size() > 1:  # or made floats
             planes = obs.permute(0, 3, 1, 2).float()
             # Channels stay last, as they are in the observations: to reorder them would be a copy.
@@ -195,12 +197,6 @@ class Encoder(nn.Module):
     def numbers(self, obs: Tensor) -> Tensor:
         """Return the rows of the table that observations choose, shape ``(batch, parts)``."""
         return obs.reshape(len(obs), self.offsets.numel()) + self.offsets
-
-    def standardised(self, obs: Tensor) -> Tensor:
-        """Return vectors standardised by the statistics, shape ``(batch, inputs)``."""
-        mean, scale = self.statistics()
-        rows = obs.reshape(len(obs), self.mean.numel())
-        return ((rows - mean) * scale).clamp(-dense.FARTHEST, dense.FARTHEST)
 
     def statistics(self) -> tuple[Tensor, Tensor]:
         """Return the means that are taken from vectors, and the factors that the rest is multiplied by."""

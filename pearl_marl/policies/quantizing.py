@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import torch
@@ -76,13 +75,13 @@ def quantized(
         ranks = np.stack([np.unique(row, return_inverse=True)[1] for row in policy.values[0].numpy()])
         return table_network(policy.spec, ranks)
     most_weight, most = ((1 << bits - 1) - 1 for bits in (weight_bits, activation_bits))
-    network: Any = policy.network
-    each = network if isinstance(network, SeparateNetworks) else [network]
+    separate = isinstance(policy.network, SeparateNetworks)
+    each = policy.network if separate else [policy.network]
     made = tuple(
         _Quantizing(policy, own, observations[k :: len(each)], most_weight, most).network()
         for k, own in enumerate(each)
     )
-    return AgentNetworks(made) if isinstance(network, SeparateNetworks) else made[0]
+    return AgentNetworks(made) if separate else made[0]
 
 
 def check_quantizable(policy: NetworkPolicy | TabularPolicy) -> None:
@@ -93,7 +92,7 @@ def check_quantizable(policy: NetworkPolicy | TabularPolicy) -> None:
                 f"the policy has {len(policy.values)} tables, a learner each: take one of them"
             )
         return
-    network: Any = policy.network
+    network = policy.network
     if isinstance(network, SeparateNetworks):
         network = network[0]  # the others are like it
     if network.memory is not None:

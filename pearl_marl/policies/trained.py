@@ -134,6 +134,7 @@ class NetworkPolicy(_Trained):
         ``"gru"``: it remembers. Each call is then a step of the same agents; see :meth:`forget`.
     """
 
+    network: Any
     bound: Tensor
     low: Tensor
     high: Tensor
@@ -229,9 +230,8 @@ class NetworkPolicy(_Trained):
 
         Observations, masks and positions have steps and agents as one axis.
         """
-        network: Any = self.network
-        features, memories = network.unrolled(obs, position, recall)
-        return masked(network.output(features), masks), memories
+        features, memories = self.network.unrolled(obs, position, recall)
+        return masked(self.network.output(features), masks), memories
 
     def forget(self, ended: Array | None = None) -> None:
         """Forget what agents remember: those whose episodes ended, or all."""
@@ -252,11 +252,6 @@ class NetworkPolicy(_Trained):
         recall = Recall(self.memory, acting=None if acts is None else acts[None])
         outputs, (self.memory,) = self.unrolled(obs, masks, self.positions(len(obs)), recall)
         return outputs
-
-    def see(self, obs: Tensor, position: Tensor | None) -> None:
-        """Take a batch of observations into the statistics by which they are standardised."""
-        network: Any = self.network
-        network.see(obs, position)
 
     @torch.no_grad()
     def best(self, obs: Tensor, masks: Tensor | None = None) -> Tensor:

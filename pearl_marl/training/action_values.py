@@ -49,7 +49,7 @@ class ActionValues(nn.Module):
 
     def see(self, inputs: Inputs) -> None:
         """Take a batch into the statistics by which observations are standardised."""
-        self.policy.see(inputs.obs, inputs.position)
+        self.policy.network.see(inputs.obs, inputs.position)
         if self.central:
             self.mixer.see(inputs.state)
 

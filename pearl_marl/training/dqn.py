@@ -120,7 +120,7 @@ class DQN(Trainer):
 
     def _step(self) -> None:
         agents, inputs = self.agents, self.agents.inputs
-        self.policy.see(inputs.obs, inputs.position)
+        self.policy.network.see(inputs.obs, inputs.position)
         best = self.policy.best(inputs.obs, inputs.masks)
         actions = self.explore(best, self.policy.outputs, self.explored, inputs.masks)
         self._remember(obs=inputs.obs, actions=actions, alive=agents.alive)
@@ -175,8 +175,7 @@ class DQN(Trainer):
     def compiled_gradients(self, minibatch: Minibatch) -> Tensor:
         """Do the same by compiled loops, for networks that these can do."""
         obs, actions, rewards, arrivals, over, alive, position, masks = minibatch
-        network: Any = self.policy.network
-        target: Any = self.target.network
+        network, target = self.policy.network, self.target.network
         if masks is None:
             masks = torch.empty(0, self.policy.outputs, dtype=torch.int8)
         loss = huber_gradients_of()(
