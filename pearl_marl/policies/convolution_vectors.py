@@ -11,9 +11,9 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 
-from pearl_marl.policies.vector_code import INDEX, VectorCode, constant, function_of
+from pearl_marl.policies.vector_code import INDEX, LANES, VectorCode, constant, function_of
 
-FILTERS = 16
+FILTERS = LANES
 FEW, TOGETHER = 4, 8
 """Squares, or filters, that go with a panel of outputs at once, and squares with one: what registers hold."""
 VECTORS = 4
@@ -21,24 +21,17 @@ PANEL = VECTORS * FILTERS
 """Outputs of the linear layer that are summed together, in so many vectors."""
 
 
-_FLOAT = ir.FloatType()
-_VECTOR = ir.VectorType(_FLOAT, FILTERS)
-_NONE = constant(_VECTOR, 0.0)
+_NONE = constant(ir.VectorType(ir.FloatType(), LANES), 0.0)
 
 
 def _panel(code: VectorCode, array: Any, at: Any) -> list[Any]:
     """Return the vectors of a panel from a number on."""
-    return [code.load(array, code.plus(at, k * FILTERS), _VECTOR) for k in range(VECTORS)]
+    return [code.load(array, code.plus(at, k * FILTERS)) for k in range(VECTORS)]
 
 
 def _store_panel(code: VectorCode, vectors: list[Any], array: Any, at: Any) -> None:
     for k, vector in enumerate(vectors):
         code.store(vector, array, code.plus(at, k * FILTERS))
-
-
-def _factor(code: VectorCode, array: Any, at: Any) -> Any:
-    """Return a number of an array sixteen times."""
-    return code.spread(code.load(array, at, _FLOAT), FILTERS)
 
 
 def _positive(code: VectorCode, numbers: Any) -> Any:
@@ -49,15 +42,15 @@ def _positive(code: VectorCode, numbers: Any) -> Any:
 @function_of
 def add(code: VectorCode, sums: Any, at: Any, terms: Any, of: Any) -> None:
     """Add sixteen terms, from ``of`` on, to sixteen sums, from ``at`` on."""
-    total, some = code.load(sums, at, _VECTOR), code.load(terms, of, _VECTOR)
+    total, some = code.load(sums, at), code.load(terms, of)
     code.store(code.builder.fadd(total, some), sums, at)
 
 
 @partial(function_of, result=types.uint16)
 def rectify(code: VectorCode, made: Any, at: Any, sums: Any, of: Any, bias: Any) -> Any:
     """Store relu(sums + bias) - relu(bias); return a bit for each sum with its bias that is above 0."""
-    builder, alone = code.builder, code.load(bias, INDEX(0), _VECTOR)
-    total = builder.fadd(code.load(sums, of, _VECTOR), alone)
+    builder, alone = code.builder, code.load(bias, INDEX(0))
+    total = builder.fadd(code.load(sums, of), alone)
     rectified, of_bias = (
         builder.select(_positive(code, numbers), numbers, _NONE) for numbers in (total, alone)
     )
@@ -69,7 +62,7 @@ def rectify(code: VectorCode, made: Any, at: Any, sums: Any, of: Any, bias: Any)
 def keep(code: VectorCode, numbers: Any, at: Any, flags: Any) -> None:
     """Set those of sixteen numbers to 0 whose flag is not set."""
     kept = code.builder.bitcast(flags, ir.VectorType(ir.IntType(1), FILTERS))
-    code.store(code.builder.select(kept, code.load(numbers, at, _VECTOR), _NONE), numbers, at)
+    code.store(code.builder.select(kept, code.load(numbers, at), _NONE), numbers, at)
 
 
 @function_of
@@ -85,7 +78,7 @@ def multiply(
     for number in range(FILTERS):
         loaded = _panel(code, weights, builder.add(column, code.times(width, number)))
         for one, total in zip(ranks, sums, strict=True):
-            factor = _factor(code, made, code.plus(code.times(one, FILTERS), number))
+            factor = code.factor(made, code.plus(code.times(one, FILTERS), number))
             total[:] = [code.plus_product(*parts, factor) for parts in zip(total, loaded, strict=True)]
     for one, total in zip(ranks, sums, strict=True):
         _store_panel(code, total, products, builder.add(builder.mul(one, width), column))
@@ -114,7 +107,7 @@ def add_products(
         loaded = _panel(code, sums, builder.add(builder.mul(kind, width), column))
         first = builder.add(of, code.times(kind, FILTERS))
         for j, total in enumerate(totals):
-            factor = _factor(code, made, code.plus(first, j))
+            factor = code.factor(made, code.plus(first, j))
             for one, vector in zip(total, loaded, strict=True):
                 builder.store(code.plus_product(builder.load(one), vector, factor), one)
     for start, total in zip(starts, totals, strict=True):
@@ -130,9 +123,9 @@ def project(code: VectorCode, by_made: Any, rank: Any, sums: Any, width: Any, we
     builder, ranks = code.builder, [code.plus(rank, k) for k in range(TOGETHER)]
     totals = [code.variable(_NONE) for _ in ranks]
     with code.each(width) as output:
-        loaded = code.load(weights, code.times(output, FILTERS), _VECTOR)
+        loaded = code.load(weights, code.times(output, FILTERS))
         for one, total in zip(ranks, totals, strict=True):
-            factor = _factor(code, sums, builder.add(builder.mul(one, width), output))
+            factor = code.factor(sums, builder.add(builder.mul(one, width), output))
             builder.store(code.plus_product(builder.load(total), loaded, factor), total)
     for one, total in zip(ranks, totals, strict=True):
         code.store(builder.load(total), by_made, code.times(one, FILTERS))

@@ -18,16 +18,13 @@ from numba import njit, types
 from pearl_marl.base.arrays import Array
 from pearl_marl.compiler.loading import compiled_loop
 from pearl_marl.policies import vector_code
-from pearl_marl.policies.vector_code import INDEX, VectorCode, function_of
+from pearl_marl.policies.vector_code import INDEX, LANES, VectorCode, function_of
 
 ROWS = 64
 """Rows that go through all layers at once."""
 
-HIGH, WIDE = 8, 16
+HIGH, WIDE = 8, LANES
 """Size of a block of sums: eight vectors of sixteen."""
-
-_FLOAT = ir.FloatType()
-_VECTOR = ir.VectorType(_FLOAT, WIDE)
 
 Vector = Annotated[Array, types.Array(types.float32, 1, "C")]
 Matrix = Annotated[Array, types.Array(types.float32, 2, "C")]
@@ -72,16 +69,16 @@ def _block(code: VectorCode, c: Any, a: Any, b: Any, at: Any) -> None:
     """
     builder, (c0, width, a0, down, along, b0, across, depth) = code.builder, at
     rows = [builder.add(c0, code.times(width, row)) for row in range(HIGH)]
-    before, outside = [code.load(c, row, _VECTOR) for row in rows], builder.block
+    before, outside = [code.load(c, row) for row in rows], builder.block
     body, after = builder.append_basic_block("sum"), builder.append_basic_block("summed")
     builder.branch(body)
     builder.position_at_end(body)
     # Not a loop over variables: where registers are few, LLVM would spill more of them.
-    k, totals = builder.phi(INDEX), [builder.phi(_VECTOR) for _ in rows]
-    columns = code.load(b, builder.add(b0, builder.mul(k, across)), _VECTOR)
+    k, totals = builder.phi(INDEX), [builder.phi(sums.type) for sums in before]
+    columns = code.load(b, builder.add(b0, builder.mul(k, across)))
     start, summed = builder.add(a0, builder.mul(k, along)), []
     for row, total in enumerate(totals):
-        factor = code.spread(code.load(a, builder.add(start, code.times(down, row)), _FLOAT), WIDE)
+        factor = code.factor(a, builder.add(start, code.times(down, row)))
         summed.append(code.plus_product(total, columns, factor))
     following = code.plus(k, 1)
     for phi, first, new in zip((k, *totals), (INDEX(0), *before), (following, *summed), strict=True):
@@ -97,7 +94,7 @@ def _block(code: VectorCode, c: Any, a: Any, b: Any, at: Any) -> None:
 def _power_of_two(code: VectorCode, exponent: Any) -> Any:
     """Return two to the power of an ``int32``, as a ``float32``."""
     builder, bits = code.builder, ir.IntType(32)
-    return builder.bitcast(builder.shl(builder.add(exponent, bits(127)), bits(23)), _FLOAT)
+    return builder.bitcast(builder.shl(builder.add(exponent, bits(127)), bits(23)), ir.FloatType())
 
 
 ARITHMETIC: Any = {"error_model": "numpy", "fastmath": {"contract"}}

@@ -16,16 +16,15 @@ from llvmlite import ir
 from numba.core.registry import cpu_target
 
 from pearl_marl.policies.integer_network import HALF
-from pearl_marl.policies.vector_code import INDEX, VectorCode, constant, function_of
+from pearl_marl.policies.vector_code import INDEX, LANES, WORD, VectorCode, constant, function_of
 
 TILE = 64
 """Agents that go through all layers at once."""
 
-LANES, VECTORS, HIGH = 16, TILE // 16, 4
-"""Words of a vector; vectors of a tile's row; outputs whose sums are kept in registers."""
+VECTORS, HIGH = TILE // LANES, 4
+"""Vectors of a tile's row; outputs whose sums are kept in registers."""
 
-_WORD = ir.IntType(32)
-_WORDS = ir.VectorType(_WORD, LANES)
+_WORDS = ir.VectorType(WORD, LANES)
 _PAIRS, _BYTES = ir.VectorType(ir.IntType(16), 2 * LANES), ir.VectorType(ir.IntType(8), 4 * LANES)
 
 
@@ -55,7 +54,7 @@ def _call(builder: Any, name: str, result: Any, *operands: Any) -> Any:
 
 def _spread(code: VectorCode, number: Any) -> Any:
     """Return a vector of words that are all the same number of 64 bits."""
-    return code.spread(code.builder.trunc(number, _WORD), LANES)
+    return code.spread(code.builder.trunc(number, WORD))
 
 
 def _word(code: VectorCode, row: Any, v: int) -> Any:
@@ -78,7 +77,7 @@ def _plus_pairs(code: VectorCode, total: Any, inputs: Any, weights: Any) -> Any:
                 code.shuffled((pairs, pairs), list(range(first, first + LANES)))
                 for pairs in (inputs, weights)
             ]
-            halves.append(_call(builder, "llvm.x86.avx2.pmadd.wd", ir.VectorType(_WORD, LANES // 2), *own))
+            halves.append(_call(builder, "llvm.x86.avx2.pmadd.wd", ir.VectorType(WORD, LANES // 2), *own))
         return builder.add(total, code.shuffled(halves, list(range(LANES))))
     for first in (0, 1):
         every_other = list(range(first, 2 * LANES, 2))
@@ -120,17 +119,17 @@ def _layer(plus: Callable[..., Any], begin: Callable[[VectorCode], Finish]) -> A
                 with there:
                     for row, own in zip(rows, totals, strict=True):
                         for k, total in enumerate(own):
-                            builder.store(code.load(sums, _word(code, row, v + k), _WORDS), total)
+                            builder.store(code.load(sums, _word(code, row, v + k)), total)
                 with biased:
                     for row, own in zip(rows, totals, strict=True):
-                        bias = code.load(biases, builder.add(first_bias, row), _WORD)
+                        bias = code.factor(biases, builder.add(first_bias, row))
                         for total in own:
-                            builder.store(code.spread(bias, LANES), total)
+                            builder.store(bias, total)
             starts = [builder.add(first_weight, builder.mul(groups, row)) for row in rows]
             with code.each(groups) as group:
-                some = [code.load(inputs, _word(code, group, v + k), _WORDS) for k in range(width)]
+                some = [code.load(inputs, _word(code, group, v + k)) for k in range(width)]
                 for own, start in zip(totals, starts, strict=True):
-                    factor = code.spread(code.load(weights, builder.add(start, group), _WORD), LANES)
+                    factor = code.factor(weights, builder.add(start, group))
                     for total, vector in zip(own, some, strict=True):
                         builder.store(plus(code, builder.load(total), vector, factor), total)
             finish(first, v, [[builder.load(total) for total in own] for own in totals])
@@ -185,7 +184,7 @@ def _cut_to_pairs(code: VectorCode) -> Finish:
 
 def _gather(code: VectorCode) -> Finish:
     """Look up what sums become in a table of words."""
-    builder, half, pointer = code.builder, ir.VectorType(_WORD, LANES // 2), ir.IntType(8).as_pointer()
+    builder, half, pointer = code.builder, ir.VectorType(WORD, LANES // 2), ir.IntType(8).as_pointer()
     arrays, numbers = code.operands
     zero = code.plus(numbers[6], HALF)  # the entry of 0
     table = builder.bitcast(builder.gep(arrays[6], [zero]), pointer)
@@ -316,9 +315,9 @@ def take_greatest(code: VectorCode, arrays: Any, numbers: Any) -> None:
     builder, (sums, best, greatest), (start, count) = code.builder, arrays, numbers
     for v in range(VECTORS):
         chosen = code.variable(constant(_WORDS, 0))
-        most = code.variable(code.load(sums, _word(code, start, v), _WORDS))
+        most = code.variable(code.load(sums, _word(code, start, v)))
         with code.each(count) as k:
-            value = code.load(sums, _word(code, builder.add(start, k), v), _WORDS)
+            value = code.load(sums, _word(code, builder.add(start, k), v))
             before = builder.load(most)
             more = builder.icmp_signed(">", value, before)
             builder.store(builder.select(more, _spread(code, k), builder.load(chosen)), chosen)

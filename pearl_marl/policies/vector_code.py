@@ -15,7 +15,10 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-BYTE, LANE, INDEX = map(ir.IntType, (8, 32, 64))
+BYTE, WORD, INDEX = map(ir.IntType, (8, 32, 64))
+
+LANES = 16
+"""Numbers of a vector, where nothing else is said: of floats, and of words of 32 bits."""
 
 _intrinsic: Any = intrinsic
 _cgutils: Any = cgutils
@@ -44,8 +47,9 @@ class VectorCode:
         pointer = self.builder.gep(array, [index])
         return self.builder.bitcast(pointer, kind.as_pointer()), 1 if array.type.pointee == BYTE else 4
 
-    def load(self, array: Any, index: Any, kind: Any) -> Any:
-        """Load a vector, or an element, from an index of an array."""
+    def load(self, array: Any, index: Any, kind: Any = None) -> Any:
+        """Load a vector, or something of another kind, from an index of an array."""
+        kind = kind or ir.VectorType(array.type.pointee, LANES)
         pointer, align = self._pointer(array, index, kind)
         return self.builder.load(pointer, align=align)
 
@@ -56,12 +60,16 @@ class VectorCode:
 
     def shuffled(self, vectors: Sequence[Any], order: list[int]) -> Any:
         """Return elements of two vectors, one after the other, in an order."""
-        return self.builder.shuffle_vector(*vectors, ir.Constant(ir.VectorType(LANE, len(order)), order))
+        return self.builder.shuffle_vector(*vectors, ir.Constant(ir.VectorType(WORD, len(order)), order))
 
-    def spread(self, number: Any, lanes: int) -> Any:
+    def spread(self, number: Any) -> Any:
         """Return a vector of the same number."""
-        empty = ir.Constant(ir.VectorType(number.type, lanes), ir.Undefined)
-        return self.shuffled((self.builder.insert_element(empty, number, LANE(0)), empty), [0] * lanes)
+        empty = ir.Constant(ir.VectorType(number.type, LANES), ir.Undefined)
+        return self.shuffled((self.builder.insert_element(empty, number, WORD(0)), empty), [0] * LANES)
+
+    def factor(self, array: Any, index: Any) -> Any:
+        """Return a vector of the same element of an array."""
+        return self.spread(self.load(array, index, array.type.pointee))
 
     def plus_product(self, total: Any, numbers: Any, factors: Any) -> Any:
         """Return sums with products added; processors that can do both at once round once."""
