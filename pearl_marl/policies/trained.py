@@ -339,7 +339,6 @@ def load(path: Path) -> NetworkPolicy | TabularPolicy:
     file = path / "policy.safetensors" if path.is_dir() else path
     about, tensors = policy_file.read(file)
     try:
-        _check_description(about)
         # On torch's device of no memory: the file may name any size.
         with torch.device("meta"):
             policy = _described(about, tensors)
@@ -350,22 +349,18 @@ def load(path: Path) -> NetworkPolicy | TabularPolicy:
     return policy
 
 
-def _check_description(about: Any) -> None:
-    """Refuse the description of a policy that lacks something, or has it of another type."""
+def _described(about: Any, tensors: dict[str, Tensor]) -> NetworkPolicy | TabularPolicy:
+    """Make the policy that metadata describe, for these tensors, as yet without them."""
     if not isinstance(about, dict):
         raise ArgumentError("its metadata say nothing of its policy")
     needed: dict[str, type] = {"environment": str, "options": dict, "kind": str}
     if about.get("kind") not in ("table", "integers"):
         needed["width"] = int
-    for name, kind in needed.items():
-        if name not in about:
-            raise ArgumentError(f"its policy has no {name!r}")
-        if type(about[name]) is not kind:
-            raise ArgumentError(f"its policy has the {name} {brief(about[name])}")
-
-
-def _described(about: dict[str, Any], tensors: dict[str, Tensor]) -> NetworkPolicy | TabularPolicy:
-    """Make the policy that metadata describe, for these tensors, as yet without them."""
+    for field, of_type in needed.items():
+        if field not in about:
+            raise ArgumentError(f"its policy has no {field!r}")
+        if type(about[field]) is not of_type:
+            raise ArgumentError(f"its policy has the {field} {brief(about[field])}")
     spec = registered_spec(about["environment"]).with_options(**about["options"])
     if about["kind"] == "table":
         values = tensors.get("values", _SCALAR)
