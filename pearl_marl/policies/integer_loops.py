@@ -60,7 +60,7 @@ Words2 = Annotated[Array, types.Array(types.int64, 2, "C")]
 Sums1 = Annotated[Array, types.Array(types.int32, 1, "C")]
 Sums2 = Annotated[Array, types.Array(types.int32, 2, "C")]
 Sums4 = Annotated[Array, types.Array(types.int32, 4, "C")]
-Bytes2 = Annotated[Array, types.Array(types.uint8, 2, "C")]
+Bytes = Annotated[Array, types.Array(types.uint8, 1, "C")]
 
 
 class Prepared(NamedTuple):
@@ -84,9 +84,9 @@ class Prepared(NamedTuple):
     weights: Sums1  # groups of weights, a row an output
     bias: Sums1
     layers: Words2  # (layers, 6): inputs of a group, groups, outputs rounded up to a multiple of HIGH, ...
-    tables: Sums2  # (layers, 1024)
+    tables: Sums1  # (layers, 1024) as one axis
     gathers: int  # 1 where the processor looks up the words of a vector
-    bytes: Bytes2  # (layers, 1024): the same from the entry of 0 on, plus MIDDLE, for layers of quads
+    bytes: Bytes  # the same from the entry of 0 on, plus MIDDLE, for layers of quads
     chooses: int  # GREATEST, DRAWN or LEVELS
     counts: Words
     chance_shift: int
@@ -101,8 +101,9 @@ def prepared(network: IntegerNetwork, dtype: np.dtype[Any]) -> Prepared:
     parts, kind = loop_parts(network), SCALED
     picks, filters = np.zeros((0, 0), np.int32), np.zeros((0, 0, 0, 0), np.int32)
     if isinstance(inputs, Rows):
-        kind = LOOKED_UP
-        if _row_decides(network):
+        kind, alone = LOOKED_UP, len(inputs.first) == 1 == len(layers) and not len(network.indicator)
+        greatest = isinstance(head, Head) and not len(head.weights) and not network.spec.mask_fields
+        if alone and greatest:  # a row of the table is all that an action depends on
             logits = parts["table"] + layers[0].bias.astype(np.int64)
             kind, picks = PICKED, best_of_fields(logits, parts["counts"]).astype(np.int32)
     elif isinstance(inputs, Patches):
@@ -138,9 +139,9 @@ def prepared(network: IntegerNetwork, dtype: np.dtype[Any]) -> Prepared:
         weights=np.concatenate(weights),
         bias=np.concatenate(bias),
         layers=facts,
-        tables=tables,
+        tables=tables.ravel(),
         gathers=int(takes_gathers()),
-        bytes=as_bytes,
+        bytes=as_bytes.ravel(),
         chooses=LEVELS if isinstance(head, Levels) else DRAWN if len(head.weights) else GREATEST,
         **parts,
     )
@@ -166,19 +167,6 @@ def _fits_quads(network: IntegerNetwork) -> bool:
     return all(ends.min <= some.min(initial=0) and some.max(initial=0) <= ends.max for some in made + weights)
 
 
-def _row_decides(network: IntegerNetwork) -> bool:
-    """Return whether a row of the table is all that an action depends on."""
-    inputs, head = network.inputs, network.head
-    return (
-        isinstance(inputs, Rows)
-        and len(inputs.first) == 1 == len(network.layers)
-        and not len(network.indicator)
-        and not network.spec.mask_fields
-        and isinstance(head, Head)
-        and not len(head.weights)
-    )
-
-
 _FOR_LOOPS: Any = {
     "error_model": "numpy",
     "no_cpython_wrapper": True,
@@ -198,11 +186,9 @@ class TileArrays(NamedTuple):
     filtered: Array  # int32: what filters find in them
     x: Array  # int32, (groups, TILE)
     sums: Array  # int32, (outputs, TILE)
-    all_x: Array  # int32: the same in one line, as are the next four; NumPy's reshape takes long in a loop
+    all_x: Array  # int32: the same in one line, as are the next two; NumPy's reshape takes long in a loop
     all_y: Array  # int32: other groups, which layers write that take those of x, and the other way round
     all_sums: Array
-    all_bytes: Array
-    all_words: Array
     best: Array  # int32, (TILE,): actions
     greatest: Array  # int32, (TILE,): their logits
     rows: Array  # int64, (TILE,): rows of a table
@@ -237,8 +223,6 @@ def _room_for(net: Prepared) -> TileArrays:
         x,
         y,
         sums,
-        net.bytes.reshape(-1),
-        net.tables.reshape(-1),
         np.zeros(TILE, np.int32),
         np.zeros(TILE, np.int32),
         np.zeros(TILE, np.int64),
@@ -389,7 +373,7 @@ def _add_up(net: Prepared, elements: Array, first: int, n: int, room: TileArrays
         size, groups, outputs = net.layers[layer, SIZE], net.layers[layer, GROUPS], net.layers[layer, OUTPUTS]
         shift, has_table = net.layers[layer, SHIFT], net.layers[layer, HAS_TABLE]
         following = net.layers[layer + 1, SIZE] if layer < last else 0
-        arrays = inputs, made, room.all_sums, net.weights, net.bias, room.all_bytes, room.all_words
+        arrays = inputs, made, room.all_sums, net.weights, net.bias, net.bytes, net.tables
         end = layer * ENTRIES if has_table else net.layers[layer, LIMIT]
         of = weight, groups, bias, outputs, np.int64(begun), shift, end
         if following == QUAD:
@@ -409,7 +393,7 @@ def _add_up(net: Prepared, elements: Array, first: int, n: int, room: TileArrays
         else:
             pairs_to_sums(arrays, of)
             if has_table:
-                _look_up_pairs(room.sums, net.tables[layer], np.int32(shift), outputs, made)
+                _look_up_pairs(room.sums, net.tables[end : end + ENTRIES], np.int32(shift), outputs, made)
         inputs, made, begun = made, inputs, False
         weight += groups * outputs
         bias += outputs
