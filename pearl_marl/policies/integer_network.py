@@ -264,22 +264,19 @@ def loop_parts(network: IntegerNetwork) -> dict[str, Any]:
     What a network has no part of is empty, or 0.
     """
     inputs, head = network.inputs, network.head
-    arrays: dict[str, Any] = {
-        **dict.fromkeys(("offset", "multiplier", "input_shift", "shape", "counts", "chances"), ()),
-        "filter_bias": (),
-        **dict.fromkeys(("factors", "table", "levels"), np.zeros((0, 0))),
-        "indicator": network.indicator,
-    }
-    numbers = dict.fromkeys(("input_limit", "chance_shift", "level_shift"), 0)
+    lines = "offset", "multiplier", "input_shift", "filter_bias", "shape", "counts", "chances"
+    arrays: dict[str, Any] = dict.fromkeys(lines, ())
+    arrays |= dict.fromkeys(("factors", "table", "levels"), np.zeros((0, 0)))
+    arrays["indicator"] = network.indicator
+    numbers = {"input_limit": getattr(inputs, "limit", 0), "chance_shift": 0, "level_shift": 0}
     match inputs:
         case Scaling():
             arrays |= {"offset": inputs.offset, "multiplier": inputs.multiplier, "input_shift": inputs.shift}
-            numbers["input_limit"] = inputs.limit
         case Rows():
             arrays |= {"offset": inputs.first, "factors": inputs.factors, "table": inputs.table}
         case Patches():
-            arrays |= {"shape": inputs.shape, "input_shift": (inputs.shift, inputs.element_shift)}
-            arrays["filter_bias"], numbers["input_limit"] = inputs.bias, inputs.limit
+            shifts = inputs.shift, inputs.element_shift
+            arrays |= {"shape": inputs.shape, "input_shift": shifts, "filter_bias": inputs.bias}
     if isinstance(head, Head):
         arrays |= {"counts": head.counts, "chances": head.weights}
         numbers["chance_shift"] = head.shift
