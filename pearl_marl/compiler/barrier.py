@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numba import njit, types
-from numba.extending import intrinsic
 
 from pearl_marl.base.arrays import Array
+from pearl_marl.compiler.vector_code import VectorCode, function_of
 
-_intrinsic: Any = intrinsic
 _FOR_LOOPS: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _called: Callable[..., Any] = njit(**_FOR_LOOPS)
 
@@ -46,31 +46,16 @@ def released_by_errors(shared: Array) -> Iterator[None]:
         raise
 
 
-def _address(context: Any, builder: Any, of: Any, array: Any, index: Any) -> Any:
-    return builder.gep(context.make_array(of)(context, builder, array).data, [index])
-
-
-@_intrinsic  # type: ignore[untyped-decorator]
-def _write(_: Any, shared: Any, index: Any, number: Any) -> Any:
+@function_of
+def _write(code: VectorCode, shared: Any, index: Any, number: Any) -> None:
     """Write a number; all that was written before it is there for a loop that reads it."""
-
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        address = _address(context, builder, signature.args[0], operands[0], operands[1])
-        builder.store_atomic(operands[2], address, "release", 8)
-        return context.get_dummy_value()
-
-    return types.void(shared, types.int64, types.int64), generate
+    code.builder.store_atomic(number, code.builder.gep(shared, [index]), "release", 8)
 
 
-@_intrinsic  # type: ignore[untyped-decorator]
-def _read(_: Any, shared: Any, index: Any) -> Any:
+@partial(function_of, result=types.int64)
+def _read(code: VectorCode, shared: Any, index: Any) -> Any:
     """Read a number that another loop writes."""
-
-    def generate(context: Any, builder: Any, signature: Any, operands: Any) -> Any:
-        address = _address(context, builder, signature.args[0], *operands)
-        return builder.load_atomic(address, "acquire", 8)
-
-    return types.int64(shared, types.int64), generate
+    return code.builder.load_atomic(code.builder.gep(shared, [index]), "acquire", 8)
 
 
 @_called

@@ -23,6 +23,7 @@ from pearl_marl.base.cache import cache_folder
 from pearl_marl.base.files import write_whole
 from pearl_marl.base.machine_code import kept_code
 from pearl_marl.base.source_lines import is_of_a_library
+from pearl_marl.compiler import vector_code
 from pearl_marl.golden import GoldenFunction
 
 _MAKING = threading.RLock()
@@ -54,14 +55,15 @@ def compiled_loop(
 ) -> Callable[[], Callable[..., Any]]:
     """Return a function that returns a function of this package compiled; it is kept as kernels are kept.
 
-    It depends on its own module, and on those that it ``uses``, of which it calls functions. In a ``fused``
-    one, and in what it calls, a product and a sum may be rounded once; other devices round twice.
+    It depends on its own module, those that it ``uses``, of which it calls functions, and how vectors are
+    written. In a ``fused`` one, and in what it calls, a product and a sum may be rounded once; other devices
+    round twice.
     """
 
     @functools.cache
     def once() -> Any:
         module = sys.modules[function.__module__]
-        texts = [inspect.getsource(part) for part in (module, *uses)]
+        texts = [inspect.getsource(part) for part in (module, vector_code, *uses)]
         digest = hashlib.sha256(repr((texts, fused, numba.__version__, np.__version__)).encode()).hexdigest()
         name = f"{module.__name__.rpartition('.')[2]}{function.__name__}_{digest[:16]}"
         known = {key: value for key, value in vars(module).items() if not key.startswith("__")}

@@ -23,7 +23,7 @@ from torch.autograd.function import once_differentiable
 
 from pearl_marl.base.arrays import Array
 from pearl_marl.compiler.loading import compiled_loop
-from pearl_marl.policies import convolution_vectors, vector_code
+from pearl_marl.policies import convolution_vectors
 from pearl_marl.policies.convolution_vectors import (
     FEW,
     FILTERS,
@@ -350,8 +350,8 @@ def _gradients(
     _add_empty(by_weights, width, begin, of_empty, total, by_linear)
 
 
-_outputs_of = compiled_loop(_outputs, convolution_vectors, vector_code)
-_gradients_of = compiled_loop(_gradients, convolution_vectors, vector_code)
+_outputs_of = compiled_loop(_outputs, convolution_vectors)
+_gradients_of = compiled_loop(_gradients, convolution_vectors)
 
 
 class PlanesLayer(torch.autograd.Function):

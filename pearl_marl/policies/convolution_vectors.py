@@ -1,6 +1,6 @@
 """Vectors of sixteen numbers, one for each filter, for the loops of :mod:`pearl_marl.policies.convolution`.
 
-Numba does not keep a block of sums in registers by itself: see :mod:`pearl_marl.policies.vector_code`.
+Numba does not keep a block of sums in registers by itself: see :mod:`pearl_marl.compiler.vector_code`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any
 from llvmlite import ir
 from numba import types
 
-from pearl_marl.policies.vector_code import INDEX, LANES, VectorCode, constant, function_of
+from pearl_marl.compiler.vector_code import INDEX, LANES, VectorCode, constant, function_of
 
 FILTERS = LANES
 FEW, TOGETHER = 4, 8

@@ -17,8 +17,7 @@ from numba import njit, types
 
 from pearl_marl.base.arrays import Array
 from pearl_marl.compiler.loading import compiled_loop
-from pearl_marl.policies import vector_code
-from pearl_marl.policies.vector_code import INDEX, LANES, VectorCode, function_of
+from pearl_marl.compiler.vector_code import INDEX, LANES, VectorCode, function_of
 
 ROWS = 64
 """Rows that go through all layers at once."""
@@ -443,5 +442,5 @@ def _backward(layers: Layers, observed: NetworkInputs, by_outputs: Array, gradie
     store_gradients(total, gradients)
 
 
-forward = compiled_loop(_forward, vector_code, fused=True)
-backward = compiled_loop(_backward, vector_code, fused=True)
+forward = compiled_loop(_forward, fused=True)
+backward = compiled_loop(_backward, fused=True)

@@ -17,7 +17,7 @@ from pearl_marl.base.arrays import Array
 from pearl_marl.compiler import addresses
 from pearl_marl.compiler.addresses import address_of, fields_at, in_memory
 from pearl_marl.compiler.loading import compiled_loop
-from pearl_marl.policies import dense, integer_vectors, vector_code
+from pearl_marl.policies import dense, integer_vectors
 from pearl_marl.policies.dense import ROWS, Layers, NetworkInputs, Vector, forward_rows, padded, tile_of
 from pearl_marl.policies.device_policy import (
     ACT_ARGUMENTS,
@@ -128,7 +128,7 @@ def _act(network, elements, masks, draws, words, logits):  # type: ignore[no-unt
                 start += net.counts[field]
 
 
-compiled_act = compiled_loop(_act, addresses, dense, integer_vectors, vector_code, fused=True)
+compiled_act = compiled_loop(_act, addresses, dense, integer_vectors, fused=True)
 
 
 def compiled(network: DenseNetwork, elements: np.dtype[Any]) -> CompiledPolicy:

@@ -17,7 +17,7 @@ from pearl_marl.base.arrays import Array
 from pearl_marl.compiler import addresses
 from pearl_marl.compiler.addresses import address_of, call_act, fields_at, in_memory
 from pearl_marl.compiler.loading import compiled_loop
-from pearl_marl.policies import integer_vectors, vector_code
+from pearl_marl.policies import integer_vectors
 from pearl_marl.policies.device_policy import ACT_ARGUMENTS, CompiledPolicy, best_of_fields
 from pearl_marl.policies.integer_network import (
     ENTRIES,
@@ -495,7 +495,7 @@ def _act(network, elements, masks, draws, words, logits):  # type: ignore[no-unt
             _choose(net, room, start, some, masks, draws, words, logits)
 
 
-compiled_act = compiled_loop(_act, addresses, integer_vectors, vector_code)
+compiled_act = compiled_loop(_act, addresses, integer_vectors)
 
 
 def compiled(network: IntegerNetwork, elements: np.dtype[Any]) -> CompiledPolicy:

@@ -15,8 +15,8 @@ from typing import Any, TypeAlias
 from llvmlite import ir
 from numba.core.registry import cpu_target
 
+from pearl_marl.compiler.vector_code import INDEX, LANES, WORD, VectorCode, constant, function_of
 from pearl_marl.policies.integer_network import HALF
-from pearl_marl.policies.vector_code import INDEX, LANES, WORD, VectorCode, constant, function_of
 
 TILE = 64
 """Agents that go through all layers at once."""

@@ -21,7 +21,7 @@ from torch.nn.functional import linear
 
 from pearl_marl.base.arrays import Array
 from pearl_marl.compiler.loading import compiled_loop
-from pearl_marl.policies import dense, vector_code
+from pearl_marl.policies import dense
 from pearl_marl.policies.dense import (
     HIGH,
     ROWS,
@@ -204,8 +204,8 @@ def _backward(
                 by_weights[gate * size + i, k] = total[k * wide + gate * high + i]
 
 
-_forward_of = compiled_loop(_forward, dense, vector_code, fused=True)
-_backward_of = compiled_loop(_backward, dense, vector_code, fused=True)
+_forward_of = compiled_loop(_forward, dense, fused=True)
+_backward_of = compiled_loop(_backward, dense, fused=True)
 
 
 class GRUSteps(torch.autograd.Function):

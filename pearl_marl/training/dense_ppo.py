@@ -21,7 +21,7 @@ from pearl_marl.base.arrays import Array
 from pearl_marl.compiler import barrier
 from pearl_marl.compiler.barrier import arrive
 from pearl_marl.compiler.loading import compiled_loop
-from pearl_marl.policies import dense, vector_code
+from pearl_marl.policies import dense
 from pearl_marl.policies.dense import (
     ARITHMETIC,
     ROWS,
@@ -362,9 +362,9 @@ def _shared_gradients(
 
 
 _loss_of = compiled_loop(_loss, fused=True)
-_descend_of = compiled_loop(_descend, dense, vector_code, adam, barrier, fused=True)
-_gradients_of = compiled_loop(_gradients, dense, vector_code, fused=True)
-_shared_gradients_of = compiled_loop(_shared_gradients, dense, vector_code, fused=True)
+_descend_of = compiled_loop(_descend, dense, adam, barrier, fused=True)
+_gradients_of = compiled_loop(_gradients, dense, fused=True)
+_shared_gradients_of = compiled_loop(_shared_gradients, dense, fused=True)
 
 
 def fits(model: ActorCritic) -> bool:

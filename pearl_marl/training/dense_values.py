@@ -13,7 +13,7 @@ from torch import Tensor
 
 from pearl_marl.base.arrays import Array
 from pearl_marl.compiler.loading import compiled_loop
-from pearl_marl.policies import dense, vector_code
+from pearl_marl.policies import dense
 from pearl_marl.policies.dense import (
     ROWS,
     Layers,
@@ -71,7 +71,7 @@ def _gradients(
     return loss * share
 
 
-_gradients_of = compiled_loop(_gradients, dense, vector_code, fused=True)
+_gradients_of = compiled_loop(_gradients, dense, fused=True)
 
 
 def fits(model: ActionValues, team: int = 1) -> bool:
@@ -178,4 +178,4 @@ def _huber_gradients(
     return loss
 
 
-huber_gradients_of = compiled_loop(_huber_gradients, dense, vector_code, fused=True)
+huber_gradients_of = compiled_loop(_huber_gradients, dense, fused=True)
