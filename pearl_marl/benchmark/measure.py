@@ -9,7 +9,6 @@ import statistics
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 Step = Callable[[], Any]
@@ -107,21 +106,31 @@ def measure(contenders: list[Contender], rounds: int, seconds: float) -> Iterato
             step.close()
 
 
-def _time(step: Step | Game, count: int, wait: Callable[[], Any]) -> tuple[float, ...]:
+def _time(step: Step | Game, count: int, wait: Callable[[], Any]) -> tuple[float, float]:
     """Return the seconds that a step takes, and those of the processor in all of this process's threads."""
     if isinstance(step, Game):
-        times = []
-        for _ in range(count):
-            chosen = partial(step.step, step.choose())
-            wait()
-            times.append(_time(chosen, 1, wait))
-        return tuple(map(statistics.fmean, zip(*times, strict=True)))
+        times = [_time_chosen(step, wait) for _ in range(count)]
+        return sum(of_clock for of_clock, _ in times) / count, sum(own for _, own in times) / count
     began = _now()
     for _ in range(count):
         step()
     wait()
-    return tuple((now - then) / count for now, then in zip(_now(), began, strict=True))
+    return _since(began, count)
+
+
+def _time_chosen(game: Game, wait: Callable[[], Any]) -> tuple[float, float]:
+    actions = game.choose()
+    wait()
+    began = _now()
+    game.step(actions)
+    wait()
+    return _since(began, 1)
 
 
 def _now() -> tuple[float, float]:
     return time.perf_counter(), time.process_time()
+
+
+def _since(began: tuple[float, float], count: int) -> tuple[float, float]:
+    of_clock, of_processor = (now - then for now, then in zip(_now(), began, strict=True))
+    return of_clock / count, of_processor / count

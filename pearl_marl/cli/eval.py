@@ -18,8 +18,6 @@ from pearl_marl.evaluation.report import write_report
 from pearl_marl.evaluation.run import LIMIT, Evaluation
 from pearl_marl.policies.loading import load_policy
 
-# What `pearl match` does was an option here; these work for one version more.
-
 
 def command(
     env_id: common.EnvName,
@@ -31,6 +29,7 @@ def command(
             "observations (MODULE:FUNCTION, FILE.py:FUNCTION)."
         ),
     ],
+    # What `pearl match` does was an option here; these two work for one version more.
     against: Annotated[list[str] | None, typer.Option(hidden=True)] = None,
     openings: Annotated[int | None, typer.Option(min=0, hidden=True)] = None,
     n_agents: common.Agents = None,

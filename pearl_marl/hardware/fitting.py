@@ -97,8 +97,14 @@ class Fit:
 
     def as_json(self) -> dict[str, Any]:
         """Return it as JSON has it."""
-        usage = None if self.usage is None else self.usage.as_json()
-        return {**asdict(self), "confirmed": usage is not None, "usage": usage}
+        return {
+            "part": asdict(self.part),
+            "n_envs": self.n_envs,
+            "bram36": self.bram36,
+            "calibration": self.calibration,
+            "confirmed": self.usage is not None,
+            "usage": None if self.usage is None else self.usage.as_json(),
+        }
 
 
 def largest_fit(spec: EnvSpec, points: Sequence[Usage], part: Part) -> Fit:

@@ -17,6 +17,7 @@ from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from importlib.metadata import version
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pearl_marl.base.cache import cache_folder, keep, kept, locked
@@ -251,7 +252,7 @@ def _usage(layout: MemoryMap, kept_result: bytes, tools: Mapping[str, str]) -> U
     return Usage(layout.n_envs, layout.pe_num, layout.data_wl, **found, memories=memories, tools=tools)
 
 
-def read_design(top: str, files: Iterable[str], parameters: Mapping[str, int] = {}) -> str:
+def read_design(top: str, files: Iterable[str], parameters: Mapping[str, int] = MappingProxyType({})) -> str:
     """Return the Yosys commands that read a design from ``files``, in their order."""
     words = [
         # The WebAssembly build has no threads.

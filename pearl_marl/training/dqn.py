@@ -40,7 +40,7 @@ class Minibatch(NamedTuple):
     masks: Tensor | None = None  # of the actions that were allowed there, where the environment has any
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DQNSettings(NetworkSettings):
     """What a run of DQN depends on beside :class:`NetworkSettings`, each said beside its default."""
 

@@ -145,7 +145,10 @@ class LeagueWorker(RolloutWorker):
 
 
 class RecurrentLeagueWorker(RecurrentWorker, LeagueWorker):
-    """Does so with policies that remember, each what its own agents have seen."""
+    """Does so with policies that remember, each what its own agents have seen.
+
+    It gathers as :class:`RecurrentWorker` does; what is between is :class:`LeagueWorker`'s.
+    """
 
     def gather(self, rollout: int) -> RolloutBuffer:
         """Step all agents, against members that the rollout's number decides; return the rollout."""

@@ -55,7 +55,9 @@ class OnPolicyTrainer(Trainer):
         self.need = check_memory(spec, settings, device, names, rows, others, lasting=False)
         self.worker: Any
         if shards is None:
-            self.worker = self.gathers[self.model.policy.remembers](spec, device, settings, self.model)
+            forgetful, remembering = self.gathers
+            gathers = remembering if self.model.policy.remembers else forgetful
+            self.worker = gathers(spec, device, settings, self.model)
             agents = self.worker.agents
             self.begins_noise = self.worker.where.type == "cpu"
         else:
@@ -137,8 +139,8 @@ class OnPolicyTrainer(Trainer):
     def descend(self, samples: RolloutBuffer, rows: Tensor, rate: float) -> Tensor:
         """Learn from minibatches of these rows, one after the other; return the losses of each."""
         loops, most, losses = self.loops(samples), min(self.minibatch, len(rows)), []
-        gradients = loops or partial(self.autograd, samples)
-        with left_to_loops(self.threads) if loops else self.halves.shared(most, self.threads):
+        gradients = partial(self.autograd, samples) if loops is None else loops
+        with self.halves.shared(most, self.threads) if loops is None else left_to_loops(self.threads):
             for minibatch in self.minibatches(rows):
                 losses.append(gradients(minibatch))
                 self.optimiser.step(rate)

@@ -21,7 +21,7 @@ from pearl_marl.training.rollout import RolloutBuffer
 from pearl_marl.training.settings import BlockSettings, count, number
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PPOSettings(BlockSettings):
     """What a run of PPO depends on beside :class:`BlockSettings`, each said beside its default."""
 

@@ -19,7 +19,7 @@ from pearl_marl.training.rollout import RolloutBuffer
 from pearl_marl.training.settings import BlockSettings, count, number
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PQNSettings(BlockSettings):
     """What a run of PQN depends on beside :class:`BlockSettings`, each said beside its default."""
 

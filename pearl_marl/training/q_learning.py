@@ -26,7 +26,7 @@ from pearl_marl.training.settings import TrainerSettings, check_memory, count, n
 from pearl_marl.training.trainer import Trainer
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class QLearningSettings(TrainerSettings):
     """What a run of Q-learning depends on, each said beside its default."""
 

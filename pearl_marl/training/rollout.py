@@ -101,7 +101,8 @@ class RolloutWorker:
         """Step all agents ``rollout_length`` times; return the rollout of that number."""
         settings, model, steps = self.settings, self.model, self.settings.rollout_length
         self.expects.clear()
-        noise = self._begun.pop(rollout, partial(self._made_noise, rollout))()
+        begun_before = self._begun.pop(rollout, None)
+        noise = self._made_noise(rollout) if begun_before is None else begun_before()
         network = self.network_beside()
         done = self._one_by_one(noise) if network is None else self._at_once(network, noise)
         inputs, final_obs, rewards, terminations, truncations, _, outputs, chosen, decides, alive = done

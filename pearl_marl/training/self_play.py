@@ -20,7 +20,7 @@ from pearl_marl.training.rollout import RolloutBuffer
 from pearl_marl.training.settings import count, number
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SelfPlaySettings(ppo.PPOSettings):
     """What a run depends on: PPO's settings, and these."""
 

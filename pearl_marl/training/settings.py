@@ -60,7 +60,7 @@ def choice(*words: str) -> Any:
     return _setting(words[0], OneOf(words), "")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TrainerSettings:
     """A dataclass of :func:`count`, :func:`number` and :func:`choice`, each within its range."""
 
@@ -102,7 +102,7 @@ class TrainerSettings:
                 raise ArgumentError(f"setting {setting.name!r} is {value!r}; it must be {possible}")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class NetworkSettings(TrainerSettings):
     """Settings of an algorithm that learns networks."""
 
@@ -112,7 +112,7 @@ class NetworkSettings(TrainerSettings):
     rewards: str = choice(*TEAM)  # an agent's own, or the mean or sum of its world's
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BlockSettings(NetworkSettings):
     """Settings of an algorithm that learns from rollouts.
 

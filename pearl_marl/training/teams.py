@@ -22,14 +22,14 @@ from pearl_marl.training.rollout import RolloutBuffer
 from pearl_marl.training.settings import WIDEST, choice, count
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class VDNSettings(PQNSettings):
     """What a run of VDN depends on: PQN's settings, of which an agent's own rewards are none of a team."""
 
     rewards: str = choice("sum", "mean")  # the team's reward, of the rewards of its agents
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class QMIXSettings(VDNSettings):
     """What a run of QMIX depends on: VDN's settings, and this."""
 

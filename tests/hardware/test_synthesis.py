@@ -9,7 +9,6 @@ import re
 import pytest
 from typer.testing import CliRunner
 
-from pearl_marl.base.cache import keep, kept
 from pearl_marl.cli import app
 from pearl_marl.envs import get_spec, names
 from pearl_marl.errors import ArgumentError, DeviceError
@@ -234,10 +233,17 @@ def test_a_core_is_made_for_what_is_synthesised(family: Family) -> None:
     assert f"for {family} at 150 MHz" in job.files["cliff_walking_pe.sv"]
 
 
-def test_a_damaged_cache_is_made_again(tmp_path) -> None:
-    path = tmp_path / "half.json"
-    keep(path, b'{"lut": 1}')
-    assert kept(path) == b'{"lut": 1}'
-    path.write_bytes(path.read_bytes().replace(b"1}", b"7}"))
-    assert kept(path) is None, "another number in it"
-    assert kept(tmp_path / "none.json") is None
+def test_a_damaged_cache_is_made_again(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    build = Build.of(get_spec("CliffWalking"), 8)
+    job = synthesis._Job("", {}, {}, tmp_path / "half.json")
+    counts = {"lut": 1, "ff": 2, "bram36": 3.0, "dsp": 4, "memories": []}
+    runs = []
+    monkeypatch.setattr(synthesis, "_job", lambda *_, **__: job)
+    monkeypatch.setattr(synthesis, "_run", lambda *_: runs.append(job) or counts)
+    assert synthesis.synthesised(build) is None
+    assert synthesis.synthesise(build) == synthesis.synthesise(build) == synthesis.synthesised(build)
+    assert len(runs) == 1
+    job.path.write_bytes(job.path.read_bytes().replace(b'"lut": 1', b'"lut": 7'))
+    assert synthesis.synthesised(build) is None, "another number in it"
+    assert synthesis.synthesise(build).lut == 1
+    assert len(runs) == 2

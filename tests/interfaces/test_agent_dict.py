@@ -236,6 +236,8 @@ def test_kinds_of_values() -> None:
     assert np.shares_memory(rows(square)[1], square)
     pairs = observations_in(Tuple((Discrete(5), Discrete(6))))
     assert pairs(square.astype(int)) == [(0, 1), (2, 3), (4, 5)]
+    flags = AgentDict.of(["agent_0", "agent_1"], np.array([True, False]), np.ndarray.tolist)
+    assert [type(flag) for flag in flags.values()] == [bool, bool]
     infos = ended_infos(square, lambda array, _: rows(array))(np.array([False, True, False]))
     assert infos[0] == infos[2] == {}
     assert infos[0] is not infos[2], "a wrapper may write into each of them"

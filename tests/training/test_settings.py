@@ -127,6 +127,13 @@ def test_earlier_names_warn(algorithm: str) -> None:
             training.settings_for(algorithm, "CliffWalking", {new: 1, old: 1})
 
 
+@pytest.mark.parametrize("algorithm", training.SETTINGS)
+def test_no_setting_has_the_earlier_name_of_another(algorithm: str) -> None:
+    """A run's folder has names of either kind in one dict."""
+    kind = training.SETTINGS[algorithm]
+    assert kind.successors().keys().isdisjoint(kind.defaults())
+
+
 def test_the_earlier_class_warns() -> None:
     q_learning = importlib.import_module("pearl_marl.training.q_learning")
     with pytest.warns(DeprecationWarning, match="Settings is now QLearningSettings"):

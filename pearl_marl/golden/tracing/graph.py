@@ -371,14 +371,16 @@ class Graph(Nodes):
 
     def minimum(self, a: Node, b: Node) -> Node:
         """Return the less of two."""
-        return self._extreme(min, a, b)
+        return self._extreme(min, a, b, a, b)
 
     def maximum(self, a: Node, b: Node) -> Node:
         """Return the greater of two."""
-        return self._extreme(max, a, b)
+        return self._extreme(max, a, b, b, a)
 
-    def _extreme(self, of: Callable[[int, int], int], a: Node, b: Node) -> Node:
-        where_less, where_not = (a, b) if of is min else (b, a)
+    def _extreme(
+        self, of: Callable[[int, int], int], a: Node, b: Node, where_less: Node, where_not: Node
+    ) -> Node:
+        """Return one of two nodes where ``a`` is less than ``b``, else the other; ``of`` finds its range."""
         if a.high <= b.low or b.high <= a.low:
             return where_less if a.high <= b.low else where_not
         node = self.choose(self.less(a, b), where_less, where_not)

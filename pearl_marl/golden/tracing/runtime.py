@@ -229,16 +229,23 @@ class Runtime(Paths):
             result = self.either(self.equal(among[place], value), lambda: place, lambda: result)  # noqa: B023
         return result
 
-    def _combined(self, combine: Callable[[Any, Any], Any], begin: bool, values: Iterable[Any]) -> Any:
-        result: Any = begin
+    def every(self, values: Iterable[Any]) -> Any:
+        """Return whether all values are true."""
+        result: Any = True
         for value in values:
-            result = combine(self.flag(value), result)
-            if result is (not begin):
+            result = self.flag(value) & result
+            if result is False:
                 break
         return result
 
-    every = functools.partialmethod(_combined, operator.and_, True)
-    some = functools.partialmethod(_combined, operator.or_, False)
+    def some(self, values: Iterable[Any]) -> Any:
+        """Return whether any value is true."""
+        result: Any = False
+        for value in values:
+            result = self.flag(value) | result
+            if result is True:
+                break
+        return result
 
     def flag(self, value: Any = False) -> Any:
         """Return ``bool(value)``."""
