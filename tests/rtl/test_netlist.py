@@ -14,13 +14,12 @@ import pytest
 from bench import spec_of
 from harness import COVERAGE_VARIABLE, Design, run
 
+from pearl_marl.compiler.cores import generated_core
 from pearl_marl.hardware import elaboration, toolchain
 from pearl_marl.hardware.build import Build
 from pearl_marl.hardware.synthesis import CELLS, Family, read_design
 
-# The flip-flop whose input is inverted in the broken netlist: that of the first slot's termination. No
-# state machine depends on it, so the fault shows as a wrong result and not as a bus that hangs.
-FAULTY = r"\\u_backbone\.u_state_path\.u_pe_array\.gen_pe\[0\]\.u_pe\.u_core\.u_core\.terminated_q\d* "
+CORE = r"\\u_backbone\.u_state_path\.u_pe_array\.gen_pe\[0\]\.u_pe\.u_core\.u_core\."
 
 
 def yosys(folder: Path, *script: str) -> None:
@@ -79,7 +78,11 @@ def test_netlist_equals_the_model_and_a_broken_one_does_not(tmp_path: Path) -> N
     for folder in folders:
         folder.mkdir()
     cells = mapped(Build.of(spec_of(env, {}), *size), folders[0])
-    design = netlist(breakable(cells, FAULTY), folders[0])
+    # The flip-flop whose input is inverted in the broken netlist: that of the first slot's termination. No
+    # state machine depends on it, so the fault shows as a wrong result and not as a bus that hangs.
+    core = generated_core(spec_of(env, {}), Family.XC7.target).text
+    (terminated,) = re.findall(r"assign terminated_o = (\w+);", core)
+    design = netlist(breakable(cells, f"{CORE}{terminated} "), folders[0])
 
     def bench(fault: int, folder: Path, only: str | None = None) -> None:
         arguments = {"env": env, "options": {}, "size": size, "idle": 0.3, "steps": 8, "fault": fault}
