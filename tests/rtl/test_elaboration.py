@@ -48,7 +48,7 @@ def lint(design: Design, **parameters: int) -> None:
 def test_lint_is_clean(env: str, size: tuple[int, int, int]) -> None:
     spec = spec_of(env, {})
     n_envs, pe_num, data_wl = size
-    # Verilator calls it suspect to clear 8,192 bits at once; and no word could feed so many elements.
+    # No word could feed so many elements.
     pe_num = min(pe_num, 4096 // max(word_bits(spec.state), word_bits(spec.observation)))
     lint(whole(Build.of(spec, n_envs, pe_num, data_wl)))
 
