@@ -1,9 +1,7 @@
-"""What a device is opened for: environment, number of slots, how they start over; and what a reset takes."""
+"""What a device is opened for: the environment, how many slots, and how they start over."""
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 
 from pearl_marl.checks import checked_choice, checked_flag, checked_integer
 from pearl_marl.errors import ArgumentError
-from pearl_marl.spec import EnvSpec, Field, check_max_cycles, check_slots, check_spec
+from pearl_marl.spec import EnvSpec, check_max_cycles, check_slots, check_spec
 
 GOLDEN = "golden_functions"
 """Of an identity: what the golden functions do. Saved states of 0.1.0 do not have it."""
@@ -118,49 +116,3 @@ def checked_mask(mask: npt.ArrayLike, n: int) -> npt.NDArray[np.bool_]:
     if array.shape != (n,) or array.dtype != np.bool_:
         raise ArgumentError(f"a reset mask is bool of shape ({n},), not {array.dtype} of shape {array.shape}")
     return array
-
-
-def checked_start(spec: EnvSpec, state: object, n: int) -> dict[str, npt.NDArray[Any]]:
-    """Return the words of some fields, by name, each an array of shape ``(n,)`` in its field's dtype.
-
-    Parameters
-    ----------
-    state
-        A number for all slots or an array of shape ``(n,)``, by the names of fields. They are values: in a
-        field with a fraction, ``word * 2**-fraction``, rounded to the nearest.
-
-    Raises
-    ------
-    ArgumentError
-        Names the field, the value and what is possible.
-    """
-    if not isinstance(state, Mapping):
-        raise ArgumentError(f"state is {state!r}; it must be a dict of fields and their values")
-    fields = {field.name: field for field in spec.state}
-    for name in state:
-        if name not in fields:
-            near = difflib.get_close_matches(str(name), fields, n=1)
-            hint = f", did you mean {near[0]!r}?" if near else ""
-            raise ArgumentError(f"the state of {spec.name} has no {name!r}{hint} It has {', '.join(fields)}")
-    return {name: _words(fields[name], values, n) for name, values in state.items()}
-
-
-def _words(field: Field, values: Any, n: int) -> npt.NDArray[Any]:
-    try:
-        array = np.asarray(values)
-        numbers = np.broadcast_to(array, (n,)) if array.dtype.kind in "biuf" else None
-    except (TypeError, ValueError):
-        numbers = None
-    if numbers is None:
-        raise ArgumentError(f"{field.name} is {values!r}; it must be a number, or {n:,} of them")
-    if numbers.dtype.kind == "f" or field.fraction:
-        numbers = np.rint(numbers.astype(np.float64) * 2.0**field.fraction)
-    low, high = field.range
-    wrong = ~((numbers >= low) & (numbers <= high))
-    if wrong.any():
-        at = int(wrong.argmax())
-        value = np.broadcast_to(array, (n,))[at]
-        raise ArgumentError(f"{field.name} of slot {at} is {value}; possible are {field.low} to {field.high}")
-    if not field.fraction and array.dtype.kind == "f" and (numbers != array).any():
-        raise ArgumentError(f"{field.name} is {values!r}; it takes integers")
-    return numbers.astype(field.dtype)

@@ -121,9 +121,6 @@ class Device(ABC):
     has_engine = False
     """Whether it has a policy engine: then a rollout is one call of the hardware, and sums come back."""
 
-    runs_networks = False
-    """Whether it can run a network of floats beside its environments: see :meth:`experience`."""
-
     recovery_type: type[CheckpointLog] | None = None
     """What keeps them; ``None`` where nothing can fail under way."""
 
@@ -386,6 +383,11 @@ class Device(ABC):
             self._remember(observed)
             return result
 
+    @property
+    def runs_networks(self) -> bool:
+        """Whether it can run a network of floats beside its environments: see :meth:`experience`."""
+        return False
+
     def experience(self, network: DenseNetwork, noise: Array) -> Experience:
         """Do a rollout for a learner, on a device that ``runs_networks``; see :meth:`rollout`.
 
@@ -562,7 +564,7 @@ class Device(ABC):
     def put(self, start: Mapping[str, Array], mask: npt.ArrayLike | None = None) -> Array:
         """Set fields of states, in the masked slots or all; return every agent's observation.
 
-        ``start`` is what :func:`pearl_marl.batch.config.checked_start` returns. Where slots replay stored
+        ``start`` is what :func:`pearl_marl.batch.starts.checked_start` returns. Where slots replay stored
         initial states, these are set, too.
         """
         saved = self.snapshot()

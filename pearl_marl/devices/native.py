@@ -208,7 +208,7 @@ class Native(Device):
         return sums.result(steps, kept.arrays(config) if record else {}), observed
 
     @property
-    def runs_networks(self) -> bool:  # type: ignore[override]
+    def runs_networks(self) -> bool:
         """See :class:`Device`; a class that does more in a step does it in single ones only."""
         return type(self)._step is Native._step
 

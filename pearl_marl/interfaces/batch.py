@@ -17,10 +17,10 @@ from gymnasium.vector import AutoresetMode
 from pearl_marl.base.arrays import Array
 from pearl_marl.base.deferral import uninterrupted
 from pearl_marl.batch.actions import ActionRules
-from pearl_marl.batch.config import checked_start
 from pearl_marl.batch.rollout import Rollout
 from pearl_marl.batch.saved_state import SavedState
 from pearl_marl.batch.slot_memory import state_dtype
+from pearl_marl.batch.starts import checked_start
 from pearl_marl.batch.step import BatchStep, on_host
 from pearl_marl.devices import BatchConfig, Device, Phase
 from pearl_marl.errors import ArgumentError, OrderError, renamed
