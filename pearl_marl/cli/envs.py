@@ -21,7 +21,7 @@ def command(
     as_json: AsJson = False,
     as_markdown: Annotated[
         bool,
-        typer.Option("--markdown", help="Print the tables of docs/environments.md, for whoever adds one."),
+        typer.Option("--markdown", help="Print the tables of docs/environments.md in Markdown."),
     ] = False,
 ) -> None:
     """List the environments: spaces, widths, rewards, limits."""
